@@ -1,0 +1,186 @@
+"""Campaigns: a plan of shots, what the laboratory knows about them, and the captures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from isetval.core.capture import Capture
+from isetval.core.errors import InputError
+from isetval.core.scene import Target
+from isetval.core.sensor import Exposure, Sensor
+from isetval.core.spectrum import Spectrum
+
+ROLES = ("dark", "flat", "edge", "chart", "scene")
+SCOPES = ("campaign", "measurement session", "set-up", "frame")
+SHOT_NUISANCES = {
+    "light_level": ("relative", "radiance of the light times (1 + value)"),
+    "light_tilt_x": ("relative", "rise of the light along x from the middle to the end of the half diagonal (flats)"),
+    "light_tilt_y": ("relative", "rise of the light along y from the middle to the end of the half diagonal (flats)"),
+    "light_radial": ("relative", "rise of the light with the square of the field radius, at the corner (flats)"),
+    "spectrum_tilt": ("relative per 100 nm", "tilt of the light's spectrum around 550 nm"),
+    "focus_um": ("um", "shift of the sensor from the stated focus"),
+    "edge_shift_px": ("px", "shift of an edge along its normal"),
+    "edge_angle_deg": ("deg", "turn of an edge"),
+    "target_tilt_x": ("relative", "rise of a target's brightness along x from its middle to the window's border"),
+    "target_tilt_y": ("relative", "rise of a target's brightness along y from its middle to the window's border"),
+    "dark_reflectance": ("reflectance", "reflectance added to black elements"),
+    "wall_albedo": ("relative", "reflectance of the side walls of a rendered scene times (1 + value)"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """A light: radiance in W/(sr m2 nm) of a perfect white in it, or of itself where it is looked into."""
+
+    name: str
+    radiance: Spectrum
+    file: str = ""
+    column: str = ""
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A prior: how well the laboratory knows one number.
+
+    ``parameter`` is one of `SHOT_NUISANCES` or ``effect.parameter`` of the camera model; ``sigma`` is
+    the standard deviation around 0 (shot nuisances) or around the model's value; ``scope`` says what
+    shares one value.  ``roles`` and ``lights`` restrict it (empty: all).
+    """
+
+    parameter: str
+    sigma: float
+    unit: str
+    scope: str = "set-up"
+    distribution: str = "normal"
+    roles: tuple[str, ...] = ()
+    lights: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        where = f"nuisance {self.parameter}"
+        if self.parameter not in SHOT_NUISANCES and "." not in self.parameter:
+            known = ", ".join(SHOT_NUISANCES)
+            raise InputError(f"{where}: unknown; it needs one of {known}, or effect.parameter of the camera model")
+        if not self.sigma > 0:
+            raise InputError(f"{where}: sigma is {self.sigma}; it needs a positive number (leave out what is exactly known)")
+        if self.scope not in SCOPES:
+            raise InputError(f"{where}: scope is {self.scope!r}; it needs one of {', '.join(SCOPES)}")
+        if self.distribution != "normal":
+            raise InputError(f"{where}: distribution is {self.distribution!r}; only 'normal' is known")
+        if "." in self.parameter and self.scope == "frame":
+            raise InputError(f"{where}: a camera parameter cannot have scope 'frame'; use campaign or measurement session")
+        if unknown := set(self.roles) - set(ROLES):
+            raise InputError(f"{where}: role {unknown.pop()!r} is unknown; it needs some of {', '.join(ROLES)}")
+
+    def applies_to(self, shot: Shot) -> bool:
+        """Whether the shot is touched by this nuisance."""
+        return (not self.roles or shot.role in self.roles) and (not self.lights or (shot.light or "") in self.lights)
+
+    def group(self, shot: Shot) -> str:
+        """The label of the value that the shot shares with others."""
+        owner = {"campaign": "", "measurement session": shot.measurement_session, "set-up": shot.setup, "frame": shot.name}
+        restriction = ",".join((*self.roles, *self.lights))
+        return f"{self.parameter}@{self.scope}:{owner[self.scope]}" + (f"[{restriction}]" if restriction else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One set-up at one exposure with ``frames`` frames.
+
+    ``window`` is (row0, col0, rows, cols) on the sensor.  ``light_level`` scales the light's radiance
+    as stated by the laboratory.  ``focus_um`` is the stated shift of the sensor from best focus,
+    ``distance_m`` that of the target.  ``repeat_of`` names the shot that this one repeats with a
+    newly made set-up.
+    """
+
+    name: str
+    role: str
+    setup: str = ""
+    measurement_session: str = "A"
+    exposure: Exposure = Exposure()
+    frames: int = 1
+    light: str | None = None
+    light_level: float = 1.0
+    rotation_deg: float = 0.0
+    window: tuple[int, int, int, int] | None = None
+    target: Target | None = None
+    focus_um: float = 0.0
+    distance_m: float | None = None
+    repeat_of: str | None = None
+    files: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.role not in ROLES:
+            raise InputError(f"shot {self.name}: role is {self.role!r}; it needs one of {', '.join(ROLES)}")
+        if self.frames < 1:
+            raise InputError(f"shot {self.name}: frames is {self.frames}; it needs at least 1")
+        if not self.light_level >= 0:
+            raise InputError(f"shot {self.name}: light_level is {self.light_level}; it needs 0 or more")
+        if self.role in ("edge", "chart", "scene") and self.target is None:
+            raise InputError(f"shot {self.name}: a shot of role {self.role} needs a target; name one of the [target] tables")
+        if not self.setup:
+            object.__setattr__(self, "setup", self.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """A plan and, per shot, its captures (frame index = position; none at all: a plan).
+
+    ``sensor`` is the full sensor that windows refer to; ``camera`` the path of the model file that
+    the plan names, if any.
+    """
+
+    name: str
+    shots: tuple[Shot, ...]
+    captures: Mapping[str, tuple[Capture, ...]] = field(default_factory=dict)
+    lights: Mapping[str, Light] = field(default_factory=dict)
+    nuisances: tuple[Nuisance, ...] = ()
+    sensor: Sensor | None = None
+    camera: str = ""
+    folder: Path | None = None
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [shot.name for shot in self.shots]
+        if len(set(names)) != len(names):
+            twice = sorted(name for name, count in Counter(names).items() if count > 1)
+            raise InputError(f"campaign {self.name}: two shots are called {twice[0]!r}; give each shot its own name")
+        for shot in self.shots:
+            if shot.light is not None and shot.light not in self.lights:
+                known = ", ".join(self.lights) or "none"
+                raise InputError(f"shot {shot.name}: light {shot.light!r} is not described; the campaign has: {known}")
+            if shot.repeat_of is not None and shot.repeat_of not in names:
+                raise InputError(f"shot {shot.name}: repeat_of names {shot.repeat_of!r}, which is no shot of this campaign")
+
+    @property
+    def is_plan(self) -> bool:
+        """Whether no shot has captures."""
+        return not any(self.captures.values())
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        """Measurement sessions, in order of appearance."""
+        return tuple(dict.fromkeys(shot.measurement_session for shot in self.shots))
+
+    def only(self, names: Iterable[str]) -> Campaign:
+        """The campaign with only the named shots (references to left-out repeats are dropped)."""
+        wanted = set(names)
+        shots = tuple(
+            replace(shot, repeat_of=shot.repeat_of if shot.repeat_of in wanted else None)
+            for shot in self.shots
+            if shot.name in wanted
+        )
+        captures = {name: frames for name, frames in self.captures.items() if name in wanted}
+        return replace(self, shots=shots, captures=captures)
+
+    def session(self, name: str) -> Campaign:
+        """One measurement session."""
+        return self.only(shot.name for shot in self.shots if shot.measurement_session == name)
+
+    def as_plan(self) -> Campaign:
+        """The campaign without its captures."""
+        return replace(self, captures={})

@@ -1,0 +1,133 @@
+"""What an effect may know besides the signal: sensor, window, exposure, shot, randomness."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.sensor import Exposure, Sensor, plane_position
+from isetval.core.streams import Float32, fixed_normal, stream, word
+
+Float = NDArray[np.float64]
+Mode = Literal["capture", "derivative", "expected"]
+_KIND = {"sensor": 0, "frame": 1}
+
+
+@dataclass(frozen=True, eq=False)
+class Context:
+    """Where and how a signal is exposed.
+
+    ``window`` is (row0, col0, rows, cols) on the sensor.  ``nuisance`` holds the shot's unknowns
+    (light level, focus ...) as drawn or fitted.  ``mean_irradiance`` is the mean of the whole field,
+    (bands,), for effects that scatter light over the field.  ``mode`` is *capture* (exact Poisson),
+    *derivative* (common random numbers, see `poisson`) or *expected* (no frame noise).
+    """
+
+    sensor: Sensor
+    window: tuple[int, int, int, int]
+    exposure: Exposure = Exposure()
+    shot: str = ""
+    role: str = ""
+    light: str = ""
+    nuisance: Mapping[str, float] = field(default_factory=dict)
+    focus_um: float = 0.0
+    object_distance_m: float | None = None
+    rotation_deg: float = 0.0
+    mean_irradiance: Float | None = None
+    seed: int = 0
+    sensor_seed: int = 0
+    frame: int = 0
+    mode: Mode = "capture"
+    effect_key: tuple[int, int] = (0, 0)
+    previous: Float | None = None
+    poisson_gaussian: bool = True
+
+    def for_effect(self, name: str, occurrence: int) -> Context:
+        """The same place with the random streams of one effect."""
+        return replace(self, effect_key=(word(name), occurrence))
+
+    def time_s(self) -> float:
+        """Exposure time in s; 0 where the plan states none (a bias frame)."""
+        return self.exposure.time_s or 0.0
+
+    def xy_mm(self) -> tuple[Float, Float]:
+        """Centres of the pixels, x (1, cols) and y (rows, 1) in mm from the sensor's middle."""
+        row0, col0, rows, cols = self.window
+        pitch = self.sensor.pixel_um * 1e-3
+        x: Float = (col0 + np.arange(cols, dtype=np.float64) - (self.sensor.cols - 1) / 2) * pitch
+        y: Float = (row0 + np.arange(rows, dtype=np.float64) - (self.sensor.rows - 1) / 2) * pitch
+        return x[None, :], y[:, None]
+
+    def field_radius(self) -> Float:
+        """Field radius (rows, cols) as a fraction of the half diagonal."""
+        x, y = self.xy_mm()
+        return np.asarray(np.hypot(x, y) / self.sensor.half_diagonal_mm)
+
+    def center_mm(self) -> tuple[float, float]:
+        """(x, y) in mm of the window's middle."""
+        x, y = self.xy_mm()
+        return float(x.mean()), float(y.mean())
+
+    def fixed_normal(self, part: int = 0) -> Float32:
+        """Unit normals of the sensor's fixed pattern in this window, (rows, cols)."""
+        return fixed_normal(self.sensor_seed, (*self.effect_key, _KIND["sensor"], part), self.window)
+
+    def fixed_lines(self, axis: Literal["row", "column"], part: int = 0) -> Float:
+        """Unit normals of fixed line noise: one per sensor row (rows, 1) or column (1, cols)."""
+        row0, col0, rows, cols = self.window
+        rng = stream(self.sensor_seed, *self.effect_key, _KIND["sensor"], 16 + part, 0 if axis == "row" else 1)
+        if axis == "row":
+            return rng.standard_normal(self.sensor.rows)[row0 : row0 + rows, None]
+        return rng.standard_normal(self.sensor.cols)[None, col0 : col0 + cols]
+
+    def fixed_rng(self, part: int = 0) -> np.random.Generator:
+        """The stream of the sensor as a whole, for lists (hot pixels) and single numbers."""
+        return stream(self.sensor_seed, *self.effect_key, _KIND["sensor"], 32 + part)
+
+    def rng(self, kind: Literal["sensor", "frame"], part: int = 0) -> np.random.Generator:
+        """A stream: of this sensor, or of this frame of this shot in this block of rows."""
+        if kind == "sensor":
+            return self.fixed_rng(part)
+        return stream(self.seed, *self.effect_key, _KIND["frame"], part, word(self.shot), self.frame, self.window[0])
+
+    def frame_rng(self, part: int = 0) -> np.random.Generator:
+        """The stream of this frame as a whole (the same in every block of rows)."""
+        return stream(self.seed, *self.effect_key, 2 + _KIND["frame"], part, word(self.shot), self.frame)
+
+    def channel_index(self) -> NDArray[np.int8]:
+        """Channel (0 R, 1 G, 2 B; 0 for MONO) of every pixel of the window, (rows, cols)."""
+        row0, col0, rows, cols = self.window
+        out = np.zeros((rows, cols), np.int8)
+        if self.sensor.cfa == "MONO":
+            return out
+        for plane, channel in (("R", 0), ("Gr", 1), ("Gb", 1), ("B", 2)):
+            r, c = plane_position(self.sensor.cfa, plane, (row0, col0))
+            out[r::2, c::2] = channel
+        return out
+
+    def get(self, parameter: str) -> float:
+        """Value of a nuisance of this shot; 0 where it has none."""
+        return float(self.nuisance.get(parameter, 0.0))
+
+
+def poisson(mean: Any, context: Context, part: int = 0) -> Float:
+    """Poisson numbers of ``mean`` electrons (rows, cols).
+
+    A capture draws exact Poisson numbers.  A derivative draws ``mean + sqrt(mean) z`` with the same
+    z on both sides of a difference where the shot's mean is above 30, else the inverse CDF of the
+    same uniforms; both stay correlated when the mean moves.
+    """
+    rng = context.rng("frame", part)
+    mean = np.maximum(mean, 0)
+    if context.mode == "capture":
+        return np.asarray(rng.poisson(mean), dtype=np.float64)
+    if context.poisson_gaussian:
+        z = rng.standard_normal(mean.shape, dtype=np.float32)
+        return np.asarray(mean + np.sqrt(mean) * z)
+    from scipy.stats import poisson as distribution
+
+    return np.asarray(distribution.ppf(rng.random(mean.shape), mean), dtype=np.float64)

@@ -1,0 +1,141 @@
+"""The base of every physical effect: parameters with unit and bounds, a stage, a source."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal, TypeVar
+
+from isetval.core.context import Context
+from isetval.core.errors import InputError
+from isetval.core.scene import Scene
+from isetval.core.signal import Signal
+
+STAGES = ("scene", "optics", "pixel", "exposure", "electronics", "file")
+Random = Literal["none", "sensor", "frame"]
+
+
+@dataclass(frozen=True)
+class ParameterInfo:
+    """Unit, bounds and plausible scale of one parameter of an effect.
+
+    ``null`` is the value that means "no such effect"; ``tau`` is the standard deviation of the
+    prior around it (None: not a candidate on its own).  ``shape`` marks a parameter that has no
+    meaning at the null of the others (an onset radius): diagnosis keeps it at its default.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    tau: float | None
+    null: float
+    shape: bool
+    doc: str
+
+
+def parameter(
+    default: float,
+    *,
+    unit: str,
+    doc: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    tau: float | None = None,
+    null: float | None = None,
+    shape: bool = False,
+) -> Any:
+    """A dataclass field that is a physical parameter of an effect."""
+    info = {
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "tau": tau,
+        "null": default if null is None else null,
+        "shape": shape,
+        "doc": doc,
+    }
+    return field(default=default, metadata={"parameter": info})
+
+
+def table_file(doc: str) -> Any:
+    """A dataclass field that names a file of numbers (CSV, JSON) beside the model file."""
+    return field(default="", metadata={"file": doc})
+
+
+EffectType = TypeVar("EffectType", bound="Effect")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """One physical effect along the light path.
+
+    A subclass states its stable ``name``, ``stage``, the unit it acts on and gives, whether it draws
+    random numbers per sensor or per frame, and implements `apply` (or `apply_scene` for the scene
+    stage).  ``order`` sorts effects of one stage when a model puts one in; ``must_not_change`` names
+    the metric families it leaves alone.  With every parameter at its null it must be the identity.
+    """
+
+    name: ClassVar[str] = ""
+    stage: ClassVar[str] = ""
+    acts_on: ClassVar[str] = ""
+    gives: ClassVar[str] = ""
+    random: ClassVar[Random] = "none"
+    order: ClassVar[float] = 50.0
+    equation: ClassVar[str] = ""
+    reference: ClassVar[str] = ""
+    candidate: ClassVar[bool] = True
+    halo_px: ClassVar[int] = 0
+
+    source: str = ""
+    fitted_to: tuple[str, ...] = ()
+    base: str = field(default="", repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for info in self.parameters():
+            value = getattr(self, info.name)
+            if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+                raise InputError(f"effect {self.name}: {info.name} is {value!r}; it needs a number in {info.unit}")
+            if not info.low <= value <= info.high:
+                raise InputError(
+                    f"effect {self.name}: {info.name} is {value:g} {info.unit}; it needs {info.low:g} to {info.high:g}"
+                )
+
+    @classmethod
+    def parameters(cls) -> tuple[ParameterInfo, ...]:
+        """The physical parameters, in order."""
+        return tuple(
+            ParameterInfo(name=f.name, **f.metadata["parameter"]) for f in dataclasses.fields(cls) if "parameter" in f.metadata
+        )
+
+    @classmethod
+    def files(cls) -> tuple[str, ...]:
+        """Names of the fields that name files."""
+        return tuple(f.name for f in dataclasses.fields(cls) if "file" in f.metadata)
+
+    def values(self) -> Mapping[str, float]:
+        """Parameter values by name."""
+        return {info.name: float(getattr(self, info.name)) for info in self.parameters()}
+
+    def content(self) -> tuple[Any, ...]:
+        """Everything that decides what the effect does: the key of caches."""
+        return (
+            self.name,
+            *self.values().items(),
+            *(getattr(self, name) for name in self.files()),
+            self.base if self.files() else "",
+        )
+
+    def changed(self: EffectType, **values: Any) -> EffectType:
+        """The effect with other parameter values."""
+        return replace(self, **values)
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """The signal behind this effect."""
+        return signal
+
+    def apply_scene(self, scene: Scene, context: Context) -> Scene:
+        """The scene with this effect (scene stage only)."""
+        return scene

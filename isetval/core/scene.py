@@ -1,0 +1,125 @@
+"""What stands in front of the camera: light, target, stray light; before it is turned into radiance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.errors import InputError
+from isetval.core.spectrum import Spectrum
+
+Float = NDArray[np.float64]
+Box = tuple[int, int, int, int]
+ORIENTATIONS = ("vertical", "horizontal")
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeTarget:
+    """A straight edge between a dark and a bright half plane.
+
+    ``angle_deg`` is the tilt of the edge away from the column axis (orientation *vertical*) or from
+    the row axis (*horizontal*), positive when the edge moves to higher columns (rows) with the row
+    (column).  ``offset_px`` is (row, col) of a point of the edge from the window's middle.
+    ``dark_side`` is *low* (small columns or rows are dark) or *high*.  ``roi`` is (row0, row1, col0,
+    col1) in the window; None is the whole window.
+    """
+
+    name: str
+    angle_deg: float = 5.0
+    orientation: str = "vertical"
+    offset_px: tuple[float, float] = (0.0, 0.0)
+    dark_side: str = "low"
+    dark_reflectance: Spectrum = field(default_factory=lambda: Spectrum.flat(0.05))
+    bright_reflectance: Spectrum = field(default_factory=lambda: Spectrum.flat(0.8))
+    roi: Box | None = None
+
+    def __post_init__(self) -> None:
+        if self.orientation not in ORIENTATIONS:
+            raise InputError(f"target {self.name}: orientation is {self.orientation!r}; it needs vertical or horizontal")
+        if self.dark_side not in ("low", "high"):
+            raise InputError(f"target {self.name}: dark_side is {self.dark_side!r}; it needs low or high")
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A uniform patch: ``box`` is (row0, row1, col0, col1) in the window, half open."""
+
+    name: str
+    box: Box
+    reflectance: Spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class ChartTarget:
+    """Uniform patches on a uniform surround; ``margin_px`` is cut from each box before it is measured."""
+
+    name: str
+    patches: tuple[Patch, ...] = ()
+    surround: Spectrum = field(default_factory=lambda: Spectrum.flat(0.1))
+    margin_px: int = 4
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedTarget:
+    """A 3-D scene that a renderer turns into radiance.
+
+    ``spec`` is the scene as plain numbers and names (see `isetval.scenes`); ``patches`` are boxes in
+    the window whose means are measured, ``lines`` are line profiles (name, row0, col0, row1, col1).
+    """
+
+    name: str
+    spec: Mapping[str, Any] = field(default_factory=dict)
+    patches: tuple[Patch, ...] = ()
+    lines: tuple[tuple[str, float, float, float, float], ...] = ()
+
+
+Target = EdgeTarget | ChartTarget | RenderedTarget
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Light and target of one shot, as the scene-stage effects see and change them.
+
+    Parameters
+    ----------
+    wavelength_nm : (bands,)
+    white : (bands,)
+        Radiance in W/(sr m2 nm) of a perfect white diffuser in the light, or of the light itself
+        where the camera looks into it (flats).
+    target : Target or None
+        None is a uniform field.
+    tilt : (x, y)
+        Relative rise of the light from the middle to the end of the half diagonal, along x and y.
+    radial : float
+        Relative rise of the light with the square of the field radius (1 at the corner).
+    target_tilt : (x, y)
+        Relative rise of the target's brightness from its middle to the border of the window.
+    black : float
+        Reflectance added to black elements (the dark side of an edge).
+    ambient : (bands,)
+        Stray radiance in front of the lens, W/(sr m2 nm).
+    gloss : float
+        Reflectance of a white additive lift of all patches of a chart.
+    bounce : float
+        Strength of light that side walls throw on a target, as a fraction per unit of wall albedo.
+    """
+
+    wavelength_nm: Float
+    white: Float
+    target: Target | None = None
+    tilt: tuple[float, float] = (0.0, 0.0)
+    radial: float = 0.0
+    target_tilt: tuple[float, float] = (0.0, 0.0)
+    black: float = 0.0
+    ambient: Float | None = None
+    gloss: float = 0.0
+    bounce: float = 0.0
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def with_white(self, factor: Any) -> Scene:
+        """The scene with its light times ``factor`` (scalar or (bands,))."""
+        return replace(self, white=self.white * factor)

@@ -1,0 +1,123 @@
+"""What effects pass on: light or charge on a window of the sensor.
+
+A signal is a sum of layers.  A layer is an amplitude, (bands, rows, cols) or anything that broadcasts
+to it, times an optional sharp structure (an edge, a rendered picture) that has not been sampled on
+pixels yet.  Blur does not touch amplitudes: it adds a transfer function, and `values` applies the
+product of all transfer functions, that of the pupil among them, to the structures.  An edge is therefore exact at every blur.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from isetval.core.errors import InputError
+
+Float = NDArray[np.float64]
+UNITS = ("radiance", "irradiance", "electron", "dn")
+
+Transfer = Callable[[Float, Float, Float], Float]
+"""Optical transfer function (fx_cy_px, fy_cy_px, wavelength_nm) -> real values; arguments broadcast."""
+
+
+class Structure(Protocol):
+    """Sharp detail of a scene, not yet sampled on pixels."""
+
+    def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """The blurred and sampled layer, (bands, rows, cols)."""
+        ...
+
+
+class Pupil(Protocol):
+    """The exit pupil that images the scene: effects shift its focus and add aberrations to it."""
+
+    def transfer(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        """Transfer function at (fx_cy_px, fy_cy_px, wavelength_nm); arguments broadcast."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """An amplitude and the sharp structure it multiplies (None: everywhere 1)."""
+
+    amplitude: Float
+    structure: Structure | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Light or charge on a window.
+
+    ``unit`` is radiance (W/(sr m2 nm)), irradiance (W/(m2 nm)), electron or dn; ``wavelength_nm`` is
+    (bands,) for the spectral units and None behind the quantum efficiency, where the first axis
+    holds colour channels (R, G, B; one for MONO) and, behind the colour filter array, one mosaic.
+    """
+
+    layers: tuple[Layer, ...]
+    unit: str
+    shape: tuple[int, int]
+    wavelength_nm: Float | None = None
+    transfers: tuple[Transfer, ...] = ()
+    pupil: Pupil | None = None
+
+    def __post_init__(self) -> None:
+        if self.unit not in UNITS:
+            raise InputError(f"signal unit is {self.unit!r}; it needs one of {', '.join(UNITS)}")
+
+    @classmethod
+    def of(cls, values: ArrayLike, unit: str, *, shape: tuple[int, int] | None = None, wavelength_nm: Any = None) -> Signal:
+        """A signal of plain values (bands or channels, rows, cols)."""
+        array = np.asarray(values)
+        grid = None if wavelength_nm is None else np.asarray(wavelength_nm, float)
+        return cls((Layer(array),), unit, shape or (array.shape[-2], array.shape[-1]), grid)
+
+    @property
+    def values(self) -> Float:
+        """Sampled values; bands and pixels in which nothing varies may have length 1."""
+        total: Any = 0
+        transfers = self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers)
+        transfer = _product(transfers)
+        for layer in self.layers:
+            if layer.structure is None:
+                total = total + layer.amplitude
+            else:
+                total = total + layer.structure.sample(layer.amplitude, transfer, self.wavelength_nm)
+        return np.asarray(total)
+
+    def scaled(self, factor: ArrayLike) -> Signal:
+        """Every layer times ``factor``, which broadcasts to (bands, rows, cols)."""
+        array = np.asarray(factor)
+        return replace(self, layers=tuple(Layer(layer.amplitude * array, layer.structure) for layer in self.layers))
+
+    def plus(self, offset: ArrayLike) -> Signal:
+        """The signal and a smooth ``offset``, which broadcasts to (bands, rows, cols)."""
+        return replace(self, layers=(*self.layers, Layer(np.asarray(offset))))
+
+    def blurred(self, transfer: Transfer) -> Signal:
+        """The signal behind one more transfer function."""
+        return replace(self, transfers=(*self.transfers, transfer))
+
+    def through(self, pupil: Pupil) -> Signal:
+        """The signal imaged by another pupil."""
+        return replace(self, pupil=pupil)
+
+    def with_values(self, values: Float, unit: str | None = None) -> Signal:
+        """Sampled ``values`` in place of the layers; structures and transfers are spent."""
+        return Signal((Layer(values),), unit or self.unit, self.shape, None)
+
+
+def _product(transfers: tuple[Transfer, ...]) -> Transfer | None:
+    if not transfers:
+        return None
+
+    def transfer(fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        out: Any = 1.0
+        for part in transfers:
+            out = out * part(fx, fy, wavelength_nm)
+        return np.asarray(out)
+
+    return transfer
