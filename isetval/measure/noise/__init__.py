@@ -1,0 +1,16 @@
+"""Sensor noise: photon transfer, dark signal, EMVA 1288 decomposition, uniform patches, capture quality."""
+
+from isetval._lazy import lazy_names
+
+_NAMES = {
+    "Quantity": "isetval.measure.noise.quantity",
+    "dark": "isetval.measure.noise.dark_frames",
+    "dark_statistics": "isetval.measure.noise.statistics",
+    "emva1288": "isetval.measure.noise.emva",
+    "flat_statistics": "isetval.measure.noise.statistics",
+    "photon_transfer": "isetval.measure.noise.transfer",
+    "quality": "isetval.measure.noise.verdict",
+    "uniform_patches": "isetval.measure.noise.patches",
+}
+__all__ = sorted(_NAMES)
+__getattr__, __dir__ = lazy_names(__name__, _NAMES)

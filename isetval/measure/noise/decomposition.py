@@ -1,0 +1,168 @@
+"""Row, column and pixel parts of a fixed pattern, signed, after removal of a smooth surface.
+
+Two-way analysis of variance of the mean image of F frames (EMVA 1288 release 4.0, section on non-uniformity,
+does the same with plain moments): with mean squares of rows, columns and the rest,
+
+    sigma_row^2 = (MS_row - MS_rest) / w,  sigma_col^2 = (MS_col - MS_rest) / h,  sigma_pix^2 = MS_rest - V / F
+
+The surface is a product of discrete orthogonal polynomials of limited total degree; what it takes is
+counted in the degrees of freedom, so white noise gives unbiased parts whatever the degree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.measure.noise.moments import Moments
+from isetval.measure.noise.quantity import Quantity
+
+Float = NDArray[np.float64]
+OUTLIER_SD = 6.0
+MAX_OUTLIER_SHARE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPattern:
+    """Fixed pattern of a plane; variances in DN^2, signed, with total sigma in ``sigma`` and ``shared``.
+
+    ``shared`` is the part of the uncertainty that comes from the specimen (another sensor of the same
+    kind would have drawn another pattern); ``sigma`` is what temporal noise adds.
+    """
+
+    total: Quantity
+    row: Quantity
+    column: Quantity
+    pixel: Quantity
+    outliers: int
+    valid: int
+    excess_kurtosis: float
+    surface: Float
+    residual: Float
+    correlation: Float
+
+
+@lru_cache(maxsize=64)
+def orthogonal_polynomials(count: int, degree: int) -> Float:
+    """Orthonormal polynomials on ``count`` equidistant points, (count, degree + 1)."""
+    x = np.linspace(-1, 1, count) if count > 1 else np.zeros(1)
+    basis = np.polynomial.legendre.legvander(x, min(degree, max(count - 1, 0)))
+    q, r = np.linalg.qr(basis)
+    out = q * np.sign(np.diag(r))
+    out.flags.writeable = False
+    return np.asarray(out)
+
+
+def fit_surface(image: NDArray[Any], degree: int) -> Float:
+    """Least-squares polynomial surface of total degree ``degree``, (rows, cols)."""
+    rows, cols = image.shape
+    py, px = orthogonal_polynomials(rows, degree), orthogonal_polynomials(cols, degree)
+    coefficients = py.T @ image @ px
+    keep = np.add.outer(np.arange(py.shape[1]), np.arange(px.shape[1])) <= degree
+    return np.asarray(py @ (coefficients * keep) @ px.T)
+
+
+def robust_sd(values: NDArray[Any], limit: int = 20000) -> float:
+    """1.4826 times the median absolute deviation, of at most ``limit`` evenly spread values."""
+    flat = values.ravel()
+    flat = flat[:: max(1, flat.size // limit)]
+    return float(1.4826 * np.median(np.abs(flat - np.median(flat))))
+
+
+def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: float = 0.0) -> FixedPattern:
+    """Split the fixed pattern of the mean of some frames.
+
+    Parameters
+    ----------
+    moments : Moments
+        Mean image, and the temporal variance whose residue in the mean image is taken off.
+    degree : int
+        Total degree of the surface taken out; 0 takes only the mean.
+    relative : bool
+        Divide by the surface (light; photo-response pattern) or subtract it (dark).
+    row_temporal : float
+        Temporal variance of row means beyond pixel noise, DN^2; its residue is removed from the row part.
+    """
+    average = np.asarray(moments.average, dtype=np.float64)
+    residual, surface, gain = _flatten(average, degree, relative)
+    bad = np.abs(residual) > OUTLIER_SD * max(robust_sd(residual), 1e-12)
+    outliers = int(bad.sum())
+    masked = 0 < outliers < MAX_OUTLIER_SHARE * residual.size
+    variance = moments.pixel_variance
+    if masked:
+        residual, surface, gain = _flatten(np.where(bad, surface, average), degree, relative)
+        residual, variance = np.where(bad, 0.0, residual), np.where(bad, 0.0, variance)
+    valid = residual.size - outliers * masked
+    residue = float(np.mean(variance if gain is None else variance * gain**2)) * residual.size / valid / moments.frames
+    parts = _parts(residual, degree, valid / residual.size)
+    quantities, correlation = _assemble(
+        parts, moments.shape, (residue, moments.temporal.sigma / moments.frames), row_temporal / moments.frames
+    )
+    total, row, column, pixel = quantities
+    return FixedPattern(
+        total=total,
+        row=row,
+        column=column,
+        pixel=pixel,
+        outliers=outliers,
+        valid=valid,
+        excess_kurtosis=parts[2],
+        surface=surface,
+        residual=residual,
+        correlation=correlation,
+    )
+
+
+def _flatten(image: Float, degree: int, relative: bool) -> tuple[Float, Float, Float | None]:
+    """Residual in DN, surface, and level / surface where the image was divided."""
+    surface = fit_surface(image, degree)
+    level = float(surface.mean())
+    if relative and level > 0 and float(surface.min()) > 0.02 * level:
+        gain = level / surface
+        return image * gain - level, surface, gain
+    return image - surface, surface, None
+
+
+def _parts(residual: Float, degree: int, share: float) -> tuple[Float, Float, float]:
+    """Mean squares (rest, row, column), their degrees of freedom, and excess kurtosis of the rest."""
+    rows, cols = residual.shape
+    row_means, col_means = residual.mean(axis=1), residual.mean(axis=0)
+    rest = residual - row_means[:, None] - col_means + residual.mean()
+    used_y, used_x = min(degree, rows - 1) + 1, min(degree, cols - 1) + 1
+    cross = sum(1 for i in range(1, used_y) for j in range(1, used_x) if i + j <= degree)
+    dof = np.array([max((rows - 1) * (cols - 1) - cross, 1) * share, max(rows - used_y, 1), max(cols - used_x, 1)])
+    squares = np.array([np.vdot(rest, rest), cols * np.sum(row_means**2), rows * np.sum(col_means**2)])
+    mean_squares = squares / dof
+    mean_squares[1:] /= share
+    fourth = float(np.mean(rest**4)) / share if mean_squares[0] > 0 else 0.0
+    excess = fourth / mean_squares[0] ** 2 - 3 if mean_squares[0] > 0 else 0.0
+    return mean_squares, dof, max(float(excess), 0.0)
+
+
+def _assemble(
+    parts: tuple[Float, Float, float], shape: tuple[int, int], removed: tuple[float, float], row_residue: float
+) -> tuple[list[Quantity], Float]:
+    """Total, row, column and pixel variances with both parts of their sigma, and their correlation."""
+    mean_squares, dof, excess = parts
+    rows, cols = shape
+    residue, residue_sigma = removed
+    split = np.array([[1.0, 0, 0], [-1 / cols, 1 / cols, 0], [-1 / rows, 0, 1 / rows]])
+    to_parts = np.vstack([split.sum(axis=0), split[1], split[2], split[0]])
+    values = to_parts @ mean_squares - np.array([residue + row_residue, row_residue, 0.0, residue])
+    spread = 2 + np.array([excess, 0.0, 0.0])
+    covariance = (to_parts * (spread * mean_squares**2 / dof)) @ to_parts.T
+    covariance += residue_sigma**2 * np.outer([1, 0, 0, 1], [1, 0, 0, 1])
+    # the specimen's share: the same mean squares without the temporal residue
+    own = np.maximum(mean_squares - residue - np.array([0.0, cols * row_residue, 0.0]), 0.0)
+    specimen = np.diag((to_parts * (spread * own**2 / dof)) @ to_parts.T)
+    variance = np.maximum(np.diag(covariance), 1e-300)
+    shared = np.minimum(specimen, variance)
+    quantities = [
+        Quantity(float(v), float(np.sqrt(total - part)), "DN^2", float(np.sqrt(part)))
+        for v, total, part in zip(values, variance, shared, strict=True)
+    ]
+    return quantities, covariance / np.sqrt(np.outer(variance, variance))

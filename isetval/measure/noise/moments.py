@@ -1,0 +1,136 @@
+"""Temporal moments of frames of one set-up: drift and flicker removed, one pass, in blocks of rows.
+
+Model of a frame f of one colour plane, row r, column c (DN above black):
+
+    x_frc = A_rc + D_fr T_c + e_frc
+
+A is the mean image (fixed pattern, shading, texture), D_fr what row r of frame f differs by (lamp drift,
+flicker under a rolling shutter, row noise) and T_c the column profile of the light (1 in the dark).  The
+residuals e are linear in the data, so their variance is unbiased with (F - 1)(w - 1) degrees of freedom a row;
+scaling by row means rather than subtracting frame means is what makes the estimate immune to light steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.measure.noise.quantity import Quantity
+
+Float = NDArray[np.float64]
+Values = NDArray[Any]
+BLOCK_PIXELS = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Frame statistics of one colour plane.
+
+    Parameters
+    ----------
+    average : array (rows, cols)
+        Mean of the frames, DN above black.
+    pixel_variance : array (rows, cols)
+        Unbiased temporal variance of each pixel, DN^2, without what whole rows and frames do.
+    row_means : float64 array (frames, rows)
+        Mean of every row of every frame, DN above black.
+    residual : array (frames, rows, cols) or None
+        e of the module's model, when asked for.
+    """
+
+    average: Values
+    pixel_variance: Values
+    row_means: Float
+    residual: Values | None
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return int(self.row_means.shape[0])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the plane."""
+        rows, cols = self.average.shape
+        return (int(rows), int(cols))
+
+    @property
+    def mean(self) -> float:
+        """Mean of all pixels of all frames, DN above black."""
+        return float(self.row_means.mean())
+
+    @property
+    def temporal(self) -> Quantity:
+        """Temporal variance of a pixel, DN^2; sigma from the spread of the pixels' own variances."""
+        pixels = self.pixel_variance
+        if self.frames < 2:
+            return Quantity(float("nan"), float("nan"), "DN^2")
+        spread = float(np.var(pixels, dtype=np.float64))
+        return Quantity(float(pixels.mean(dtype=np.float64)), float(np.sqrt(spread / pixels.size)), "DN^2")
+
+    @property
+    def frame_means(self) -> Float:
+        """Mean of every frame, (frames,), DN above black."""
+        return np.asarray(self.row_means.mean(axis=1))
+
+
+def frame_moments(views: Sequence[Values], black_dn: float = 0.0, *, keep: bool = False, dtype: Any = None) -> Moments:
+    """Moments of same-sized frames of one colour plane.
+
+    Parameters
+    ----------
+    views : sequence of (rows, cols) arrays
+        Raw DN of one plane, at least one frame.
+    black_dn : float
+        Subtracted first.
+    keep : bool
+        Keep the residuals (needed for neighbour covariances).
+    dtype : numpy dtype, optional
+        float64 for planes of up to 65536 pixels, else float32 (relative rounding 1e-7 of the signal).
+    """
+    frames, (rows, cols) = len(views), views[0].shape
+    kind = dtype or (np.float64 if rows * cols <= BLOCK_PIXELS else np.float32)
+    average = np.empty((rows, cols), kind)
+    variance = np.zeros((rows, cols), kind)
+    row_means = np.empty((frames, rows))
+    residual = np.empty((frames, rows, cols), kind) if keep else None
+    step = max(1, min(rows, BLOCK_PIXELS // max(cols, 1)))
+    profile: Values | None = None
+    for top in range(0, rows, step):
+        part = slice(top, min(top + step, rows))
+        block = np.empty((frames, part.stop - top, cols), kind)
+        for f, view in enumerate(views):
+            np.subtract(view[part], kind(black_dn), out=block[f], casting="unsafe")
+        row_means[:, part] = block.mean(axis=2, dtype=np.float64) if cols <= 4096 else block.astype(np.float64).mean(axis=2)
+        mean = block.mean(axis=0)
+        average[part] = mean
+        if frames > 1:
+            if profile is None:
+                profile = _column_profile(block, mean)
+            block -= mean
+            drift = (row_means[:, part] - row_means[:, part].mean(axis=0)).astype(kind)
+            block -= drift[:, :, None] * profile
+            variance[part] = np.einsum("fij,fij->ij", block, block)
+        else:
+            block -= mean
+        if residual is not None:
+            residual[:, part] = block
+    if frames > 1:
+        variance *= cols / max(cols - 1, 1) / (frames - 1)
+    return Moments(average, variance, row_means, residual)
+
+
+def _column_profile(block: Values, mean: Values) -> Values:
+    """T_c: light per column over its mean, shrunk to 1 where there is no light to speak of."""
+    columns = mean.mean(axis=0)
+    level = float(columns.mean())
+    noise = float(np.var(block[0] - block[-1])) / 2
+    weight = level**2 / (level**2 + noise) if level > 0 else 0.0
+    if weight < 0.5:
+        return np.ones_like(columns)
+    profile = 1 + weight * (columns / level - 1)
+    return np.asarray(profile / profile.mean())

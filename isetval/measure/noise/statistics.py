@@ -1,0 +1,294 @@
+"""Fast noise statistics of one set-up: means, temporal and fixed variances, covariances, codes.
+
+Building blocks for campaigns: vectorised, no optimiser, every number with the standard deviation that
+sampling gives it, and the correlations that are not negligible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.errors import InputError
+from isetval.measure.noise.codes import code_statistics
+from isetval.measure.noise.decomposition import decompose
+from isetval.measure.noise.moments import Moments, frame_moments
+from isetval.measure.noise.quantity import Quantity
+
+Float = NDArray[np.float64]
+NAN = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneStatistics:
+    """Statistics of one colour plane (or ``"mosaic"``) of one set-up.
+
+    ``quantities`` maps names to value, sigma, unit and the part ``shared`` with other captures of the same
+    specimen; ``correlation`` is the sampling correlation of ``sigma`` in the order of ``quantities``.
+    """
+
+    plane: str
+    frames: int
+    pixels: int
+    quantities: Mapping[str, Quantity]
+    correlation: Float
+    frame_means_dn: Float
+    frame_mean_sigma_dn: float
+
+    def __getitem__(self, name: str) -> Quantity:
+        return self.quantities[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.quantities)
+
+
+def flat_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
+    """Statistics of frames of one uniformly lit set-up.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Frames of one set-up, same size; with one frame everything temporal is nan.
+    roi : (row0, row1, col0, col1), optional
+        Region on the mosaic.
+    degree : int
+        Total degree of the light surface that is divided out before the fixed pattern is split.
+
+    Returns
+    -------
+    dict
+        Plane name -> PlaneStatistics, and ``"mosaic"`` with neighbour covariances of temporal noise.
+        Means are above the captures' black level.  Units DN and DN^2.
+
+    Raises
+    ------
+    InputError
+        For no captures, or captures of different sizes or patterns.
+    """
+    return _statistics(captures, roi, degree, relative=True)
+
+
+def dark_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
+    """Statistics of dark frames of one exposure time; see ``flat_statistics``."""
+    return _statistics(captures, roi, degree, relative=False)
+
+
+def check_frames(captures: Sequence[Capture]) -> None:
+    """Refuse no frames, and frames that are not of one size and pattern."""
+    if not captures:
+        raise InputError("no captures were given; at least one frame is needed")
+    first = captures[0]
+    for number, capture in enumerate(captures):
+        same = (capture.mosaic.shape, capture.sensor.cfa, capture.window) == (first.mosaic.shape, first.sensor.cfa, first.window)
+        if not same:
+            raise InputError(
+                f"capture {number} is {capture.mosaic.shape} {capture.sensor.cfa} at {capture.window}, the first is "
+                f"{first.mosaic.shape} {first.sensor.cfa} at {first.window}; "
+                "frames analyzed together need one size, pattern and place"
+            )
+
+
+def plane_moments(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, keep: bool = False) -> Moments:
+    """Moments of one colour plane of same-sized captures, DN above their black level."""
+    views = [plane_view(capture, plane, roi)[0] for capture in captures]
+    if views[0].size == 0:
+        raise InputError(f"plane {plane} has no pixel in roi {roi}; use a region of at least 2 x 2 mosaic pixels")
+    return frame_moments(views, plane_black_dn(captures[0], plane), keep=keep)
+
+
+def _statistics(captures: Sequence[Capture], roi: Roi | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
+    check_frames(captures)
+    out: dict[str, PlaneStatistics] = {}
+    residuals: dict[str, tuple[Moments, tuple[int, int]]] = {}
+    for plane in planes_of(captures[0]):
+        moments = plane_moments(captures, plane, roi, keep=len(captures) > 1)
+        _, first, _ = plane_view(captures[0], plane, roi)
+        residuals[plane] = (moments, first)
+        codes = code_statistics([plane_view(c, plane, roi)[0] for c in captures], captures[0].sensor.white_dn)
+        out[plane] = _plane_statistics(plane, moments, codes, degree, relative=relative)
+    region = check_roi(captures[0], roi)
+    if len(captures) > 1:
+        out["mosaic"] = neighbour_covariance(residuals, region)
+    return out
+
+
+def _plane_statistics(
+    plane: str, moments: Moments, codes: Mapping[str, Quantity], degree: int, *, relative: bool
+) -> PlaneStatistics:
+    rows, cols = moments.shape
+    pixels, frames = rows * cols, moments.frames
+    temporal = moments.temporal
+    row_temporal, frame_scatter = row_and_frame_scatter(moments)
+    noise = temporal.value if frames > 1 else _single_frame_variance(moments)
+    mean_variance = noise / (pixels * frames) + max(row_temporal.value if frames > 1 else 0.0, 0.0) / (rows * frames)
+    fixed = decompose(moments, degree, relative=relative, row_temporal=row_temporal.value if frames > 1 else 0.0)
+    mean = Quantity(moments.mean, math.sqrt(mean_variance), "DN", math.sqrt(max(fixed.total.value, 0.0) / pixels))
+    gradient_row, gradient_column = _gradients(moments, noise / frames)
+    quantities = {
+        "mean_dn": mean,
+        "temporal_variance_dn2": temporal,
+        "row_temporal_variance_dn2": row_temporal,
+        "frame_variance_dn2": frame_scatter,
+        "fixed_pixel_variance_dn2": fixed.pixel,
+        "fixed_row_variance_dn2": fixed.row,
+        "fixed_column_variance_dn2": fixed.column,
+        "gradient_row_dn": gradient_row,
+        "gradient_column_dn": gradient_column,
+        "outlier_fraction": Quantity(fixed.outliers / pixels, math.sqrt(fixed.outliers + 1) / pixels),
+        "noisy_pixel_fraction": noisy_fraction(moments),
+        "trimmed_temporal_variance_dn2": trimmed_temporal(moments),
+        **codes,
+    }
+    names = list(quantities)
+    return PlaneStatistics(
+        plane=plane,
+        frames=frames,
+        pixels=pixels,
+        quantities=quantities,
+        correlation=_correlation(names, quantities, fixed.correlation, frames),
+        frame_means_dn=moments.frame_means,
+        frame_mean_sigma_dn=math.sqrt(mean_variance * frames),
+    )
+
+
+def _single_frame_variance(moments: Moments) -> float:
+    """Upper bound of the temporal variance from one frame: half the variance of horizontal differences."""
+    image = np.asarray(moments.average, dtype=np.float64)
+    return float(np.mean(np.diff(image, axis=1) ** 2)) / 2 if image.shape[1] > 1 else NAN
+
+
+def row_and_frame_scatter(moments: Moments) -> tuple[Quantity, Quantity]:
+    """Temporal variance of row means and of frame means beyond pixel noise, DN^2, signed.
+
+    Light that changes between frames scales the row profile; it is taken out of the row part.
+    """
+    frames, (rows, cols) = moments.frames, moments.shape
+    if frames < 2:
+        return Quantity(NAN, NAN, "DN^2"), Quantity(NAN, NAN, "DN^2")
+    means = moments.row_means
+    profile = means.mean(axis=0)
+    level = profile.mean()
+    noise = moments.temporal.value
+    shape = profile / level if level**2 > 25 * noise / cols else np.ones(rows)
+    drift = moments.frame_means - level
+    rest = means - profile - drift[:, None] * shape
+    dof = (frames - 1) * max(rows - 1, 1)
+    square = float(np.vdot(rest, rest)) / dof
+    row = Quantity(square - noise / cols, math.hypot(square * math.sqrt(2 / dof), moments.temporal.sigma / cols), "DN^2")
+    frame_square = float(np.vdot(drift, drift)) / (frames - 1)
+    frame = Quantity(frame_square - square / rows, frame_square * math.sqrt(2 / (frames - 1)), "DN^2")
+    return row, frame
+
+
+def _gradients(moments: Moments, noise: float) -> tuple[Quantity, Quantity]:
+    """Rise of the mean image from first to last row and column, DN (slope of the best plane times the length)."""
+    average = np.asarray(moments.average, dtype=np.float64)
+    out = []
+    for profile, other in ((average.mean(axis=1), average.shape[1]), (average.mean(axis=0), average.shape[0])):
+        n = profile.size
+        x = (np.arange(n) - (n - 1) / 2) / max(n - 1, 1)
+        power = max(float(x @ x), 1e-12)
+        out.append(Quantity(float(x @ profile) / power, math.sqrt(noise / other / power), "DN"))
+    return out[0], out[1]
+
+
+def noisy_fraction(moments: Moments) -> Quantity:
+    """Share of pixels whose temporal variance is far above the plane's (random telegraph noise, blinking)."""
+    if moments.frames < 2:
+        return Quantity(NAN, NAN)
+    noisy = moments.pixel_variance > noisy_limit(moments)
+    count = int(noisy.sum())
+    return Quantity(count / noisy.size, math.sqrt(count + 1) / noisy.size)
+
+
+def noisy_limit(moments: Moments) -> float:
+    """Temporal variance that a pixel of a normal plane passes once in about 1e8."""
+    dof = moments.frames - 1
+    pixels = moments.pixel_variance
+    center = float(pixels.mean(dtype=np.float64))
+    center = float(pixels[pixels < 10 * center].mean(dtype=np.float64)) if center > 0 else 0.0
+    # Wilson and Hilferty: chi2 / dof ~ (1 - 2/(9 dof) + z sqrt(2/(9 dof)))^3 with z = 5.6
+    factor = (1 - 2 / (9 * dof) + 5.6 * math.sqrt(2 / (9 * dof))) ** 3
+    return 1.2 * factor * max(center, 1 / 12)
+
+
+def trimmed_temporal(moments: Moments) -> Quantity:
+    """Temporal variance without the noisy pixels, DN^2 (the cut takes less than 1e-6 of normal noise)."""
+    if moments.frames < 2:
+        return Quantity(NAN, NAN, "DN^2")
+    pixels = moments.pixel_variance[moments.pixel_variance <= noisy_limit(moments)]
+    spread = float(np.var(pixels, dtype=np.float64))
+    return Quantity(float(pixels.mean(dtype=np.float64)), math.sqrt(spread / pixels.size), "DN^2")
+
+
+def _correlation(names: list[str], quantities: Mapping[str, Quantity], fixed: Float, frames: int) -> Float:
+    """Sampling correlation: fixed parts among themselves, and with the temporal variance they lose V / F of."""
+    out = np.eye(len(names))
+    parts = [names.index(f"fixed_{part}_variance_dn2") for part in ("row", "column", "pixel")]
+    for i, a in enumerate(parts):
+        for j, b in enumerate(parts):
+            out[a, b] = fixed[i + 1, j + 1]
+    temporal = quantities["temporal_variance_dn2"]
+    if frames > 1 and temporal.sigma > 0:
+        t, u = names.index("temporal_variance_dn2"), names.index("trimmed_temporal_variance_dn2")
+        pixel = quantities["fixed_pixel_variance_dn2"].sigma
+        r = -min(temporal.sigma / frames / pixel, 0.95) if pixel > 0 else 0.0
+        same = min(quantities["trimmed_temporal_variance_dn2"].sigma / temporal.sigma, 0.999)
+        for k, value in ((t, r), (u, r * same)):
+            out[k, parts[2]] = out[parts[2], k] = value
+        out[t, u] = out[u, t] = same
+    return out
+
+
+def neighbour_covariance(planes: Mapping[str, tuple[Moments, tuple[int, int]]], region: Roi) -> PlaneStatistics:
+    """Covariance of the temporal noise of neighbouring mosaic pixels, DN^2.
+
+    Brighter-fatter charge repulsion, read-out crosstalk and noise reduction in the "raw" data correlate
+    *neighbours*, which on a Bayer sensor have another color; a covariance inside a plane would miss them.
+    Horizontal (lag (0, 1)) and vertical (lag (1, 0)) pairs, apart for each pair of planes.
+    """
+    first = next(iter(planes.values()))[0]
+    assert first.residual is not None
+    frames = first.frames
+    mosaic = np.zeros((frames, region[1] - region[0], region[3] - region[2]))
+    step = 1 if "MONO" in planes else 2
+    owner: dict[tuple[int, int], str] = {}
+    for plane, (moments, (row, col)) in planes.items():
+        r, c = row - region[0], col - region[2]
+        mosaic[:, r::step, c::step] = moments.residual
+        owner[(r, c)] = plane
+    quantities: dict[str, Quantity] = {}
+    for lag, name in (((0, 1), "h"), ((1, 0), "v")):
+        for pair, (value, pixels) in _pair_products(mosaic, lag, owner, step).items():
+            a, b = (planes[p][0] for p in pair)
+            value /= (frames - 1) * pixels
+            own = a.temporal.value / a.shape[1] if step == 1 and name == "h" else 0.0
+            sigma = math.sqrt(a.temporal.value * b.temporal.value / (pixels * (frames - 1)))
+            label = "" if step == 1 else f"_{pair[0].lower()}_{pair[1].lower()}"
+            quantities[f"covariance_{name}{label}_dn2"] = Quantity(float(value + own), sigma, "DN^2")
+    pixels = mosaic[0].size
+    return PlaneStatistics("mosaic", frames, pixels, quantities, np.eye(len(quantities)), np.full(frames, NAN), NAN)
+
+
+def _pair_products(
+    mosaic: Float, lag: tuple[int, int], owner: Mapping[tuple[int, int], str], step: int
+) -> dict[Any, tuple[float, int]]:
+    """Sum of products of neighbours and number of pairs, for each unordered pair of planes."""
+    _, rows, cols = mosaic.shape
+    left = mosaic[:, : rows - lag[0], : cols - lag[1]]
+    right = mosaic[:, lag[0] :, lag[1] :]
+    product = np.einsum("fij,fij->ij", left, right)
+    out: dict[Any, tuple[float, int]] = {}
+    for (row, col), plane in owner.items():
+        other = owner[((row + lag[0]) % step, (col + lag[1]) % step)]
+        pair = tuple(sorted((plane, other), key=("R", "Gr", "Gb", "B", "MONO").index))
+        part = product[row::step, col::step]
+        total, count = out.get(pair, (0.0, 0))
+        out[pair] = (total + float(part.sum()), count + part.size)
+    return out
