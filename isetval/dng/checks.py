@@ -1,0 +1,218 @@
+"""What a raw mosaic itself says about its quality: clipping, stuck or deviating lines, codes that never occur."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.dng.refusal import Remark
+
+Mosaic = NDArray[np.uint16]
+
+MEDIAN_NEIGHBOURS = 8
+OUTLIER_SIGMAS = 8.0
+MISSING_CODES_LISTED = 16
+CLIPPED_SHARE_NAMED = 1e-4
+NORMAL_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Clipping:
+    """Pixels of one colour plane at the ends of the scale: counts, and shares of the plane."""
+
+    plane: str
+    pixels: int
+    at_zero: int
+    at_white: int
+
+    @property
+    def share_at_zero(self) -> float:
+        """Share of the plane's pixels that are 0."""
+        return self.at_zero / self.pixels if self.pixels else 0.0
+
+    @property
+    def share_at_white(self) -> float:
+        """Share of the plane's pixels at or above the white level."""
+        return self.at_white / self.pixels if self.pixels else 0.0
+
+
+def clipping(capture: Capture) -> tuple[Clipping, ...]:
+    """Clipped pixels of every colour plane; 0 counts as clipped only where the black level lies above it."""
+    out = []
+    for plane in planes_of(capture):
+        view, _, _ = plane_view(capture, plane)
+        out.append(
+            Clipping(plane, view.size, int(np.count_nonzero(view == 0)), int(np.count_nonzero(view >= capture.sensor.white_dn)))
+        )
+    return tuple(out)
+
+
+def clipping_remarks(counts: tuple[Clipping, ...]) -> list[Remark]:
+    """Sentences for planes with more than 1 pixel in 10 000 clipped."""
+    remarks = []
+    for code, end, share in (
+        ("clipped_at_zero", "0", "share_at_zero"),
+        ("clipped_at_white", "or above the white level", "share_at_white"),
+    ):
+        parts = [f"{c.plane} {getattr(c, share):.1%}" for c in counts if getattr(c, share) > CLIPPED_SHARE_NAMED]
+        if parts:
+            tail = "; noise and mean of dark pixels are not what they seem" if code == "clipped_at_zero" else ""
+            remarks.append(Remark(code, f"pixels at {end}: {', '.join(parts)}{tail}"))
+    return remarks
+
+
+def line_remarks(mosaic: Mosaic) -> list[Remark]:
+    """First and last rows and columns that are constant, or whose mean stands out of their neighbours'."""
+    rows, cols = mosaic.shape
+    remarks: list[Remark] = []
+    if min(rows, cols) < 4 * MEDIAN_NEIGHBOURS:
+        return remarks
+    for axis, name in ((0, "row"), (1, "column")):
+        lines = mosaic if axis == 0 else mosaic.T
+        for index in (0, lines.shape[0] - 1):
+            words = _odd_line(lines, index)
+            if words:
+                remarks.append(Remark(f"outlier_{name}", f"{name} {index} {words}; leave it out of every region"))
+    return remarks
+
+
+def _odd_line(lines: Mosaic, index: int) -> str | None:
+    """Compare a rim line with the lines of its own CFA phase next to it."""
+    step = 2 if index == 0 else -2
+    neighbours = lines[index + step : index + step * (MEDIAN_NEIGHBOURS + 1) : step].astype(float)
+    line = lines[index].astype(float)
+    if np.ptp(line) == 0 and np.ptp(neighbours) > 0:
+        return f"holds {int(line[0])} everywhere"
+    half = np.ptp(np.median(neighbours, axis=1))
+    scatter = max(float(NORMAL_MAD * np.median(np.abs(neighbours - np.median(neighbours, axis=0)))), 0.5)
+    # a picture's own gradient moves the lines too: allow eight times the range of the neighbours' levels
+    allowed = OUTLIER_SIGMAS * max(scatter * np.sqrt(np.pi / 2 / line.size), half)
+    shift = float(np.median(line - np.median(neighbours, axis=0)))
+    excess = float(np.mean(np.abs(line - np.median(neighbours, axis=0)) > OUTLIER_SIGMAS * scatter))
+    usual = float(np.mean(np.abs(neighbours - np.median(neighbours, axis=0)) > OUTLIER_SIGMAS * scatter))
+    if abs(shift) > max(allowed, 1.0):
+        return f"lies {shift:+.1f} DN from its neighbours"
+    if excess > max(0.02, 10 * usual):
+        return f"holds garbage: {excess:.0%} of its pixels lie more than {OUTLIER_SIGMAS:g} sigma from their neighbours"
+    return None
+
+
+@dataclass(frozen=True)
+class Codes:
+    """Use of the DN scale: ``missing`` are values between the lowest and the highest common one that never occur."""
+
+    lowest: int
+    highest: int
+    median: float
+    missing: tuple[int, ...]
+    missing_count: int
+
+
+def code_use(mosaic: Mosaic) -> Codes:
+    """Codes that never occur although their neighbours are common.
+
+    Only values between the 0.1 % and 99 % quantile are judged, and only where chance would have left
+    no gap: a value is missing if the mean count of the two nearest used values is at least 30 (a
+    Poisson count of mean 30 is zero with probability 1e-13).
+    """
+    counts = np.bincount(mosaic.ravel(), minlength=2)
+    total = np.cumsum(counts)
+    quantile = np.searchsorted(total, np.array([0.001, 0.5, 0.99]) * total[-1])
+    used = np.flatnonzero(counts)
+    inside = np.arange(quantile[0], quantile[2] + 1)
+    gaps = inside[counts[inside] == 0]
+    below = counts[used[np.searchsorted(used, gaps) - 1]]
+    above = counts[used[np.minimum(np.searchsorted(used, gaps), len(used) - 1)]]
+    missing = gaps[(below + above) / 2 >= 30]
+    listed = tuple(int(v) for v in missing[:MISSING_CODES_LISTED])
+    return Codes(int(used[0]), int(used[-1]), float(quantile[1]), listed, len(missing))
+
+
+def code_remarks(codes: Codes) -> list[Remark]:
+    """A sentence if values never occur."""
+    if not codes.missing_count:
+        return []
+    listed = ", ".join(map(str, codes.missing)) + (" ..." if codes.missing_count > len(codes.missing) else "")
+    text = f"{codes.missing_count} values inside the used range never occur ({listed}): "
+    text += "the data were stretched or calibrated after the converter"
+    return [Remark("missing_codes", text)]
+
+
+def bad_pixels(capture: Capture) -> dict[str, int]:
+    """Pixels of every plane that stand out of their eight plane neighbours.
+
+    A pixel is ``hot`` (``dead``) if it lies above the largest (below the smallest) of its eight
+    neighbours of the same colour by more than eight times the typical range of such neighbours (one
+    sixth of it stands for sigma) and by more than 8 DN.  Rim pixels of a plane are not judged.
+    """
+    hot = dead = 0
+    for plane in planes_of(capture):
+        view = plane_view(capture, plane)[0]
+        if min(view.shape) < 3:
+            continue
+        middle = view[1:-1, 1:-1].astype(np.int32)
+        high, low = np.zeros_like(middle), np.full_like(middle, 65535)
+        for row in (0, 1, 2):
+            for col in (0, 1, 2):
+                if (row, col) == (1, 1):
+                    continue
+                part = view[row : row + middle.shape[0], col : col + middle.shape[1]]
+                high = np.maximum(high, part)
+                low = np.minimum(low, part)
+        span = high - low
+        # eight normal numbers span 2.85 sigma on average
+        sigma = np.maximum(span, float(np.median(span))) / 2.85
+        limit = np.maximum(OUTLIER_SIGMAS * sigma, 8.0)
+        hot += int(np.count_nonzero(middle - high > limit))
+        dead += int(np.count_nonzero(low - middle > limit))
+    return {"hot": hot, "dead": dead}
+
+
+def describe_capture(capture: Capture) -> dict[str, Any]:
+    """Everything this module can say about a capture, ready for JSON.
+
+    Returns
+    -------
+    dict
+        ``shape`` (rows, cols), ``cfa``, ``black_dn`` (per plane), ``white_dn``, ``exposure``,
+        ``clipped`` (per plane: counts and shares), ``bad_pixels`` (hot, dead), ``codes``
+        (lowest, highest, median, missing), ``warnings`` (code, message), ``provenance``.
+    """
+    counts = clipping(capture)
+    codes = code_use(capture.mosaic)
+    remarks = [*_stored(capture), *code_remarks(codes)]
+    if not any(r.code.startswith("outlier_") for r in remarks):
+        remarks += line_remarks(capture.mosaic)
+    if not any(r.code.startswith("clipped_") for r in remarks):
+        remarks += clipping_remarks(counts)
+    unique = list(dict.fromkeys(remarks))
+    return {
+        "shape": list(capture.mosaic.shape),
+        "cfa": capture.sensor.cfa,
+        "bits": capture.sensor.bits,
+        "black_dn": {plane: plane_black_dn(capture, plane) for plane in planes_of(capture)},
+        "white_dn": capture.sensor.white_dn,
+        "exposure": asdict(capture.exposure),
+        "clipped": {
+            c.plane: {
+                "pixels": c.pixels,
+                "at_zero": c.at_zero,
+                "at_white": c.at_white,
+                "share_at_zero": c.share_at_zero,
+                "share_at_white": c.share_at_white,
+            }
+            for c in counts
+        },
+        "bad_pixels": bad_pixels(capture),
+        "codes": asdict(codes),
+        "warnings": [asdict(r) for r in unique],
+        "provenance": {k: v for k, v in capture.provenance.items() if k != "warnings"},
+    }
+
+
+def _stored(capture: Capture) -> list[Remark]:
+    return [Remark(w["code"], w["message"]) for w in capture.provenance.get("warnings", ())]

@@ -1,0 +1,126 @@
+"""Headerless raw files: samples only, so everything else has to be said by the person."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from isetval.core.capture import Capture
+from isetval.core.errors import InputError
+from isetval.core.sensor import Exposure, Position, Sensor, black_at, pattern_at
+from isetval.dng.checks import clipping, clipping_remarks, code_remarks, code_use, line_remarks
+from isetval.dng.refusal import Remark, read_bytes, refusal
+
+
+def read_raw(
+    path: str | os.PathLike[str],
+    *,
+    shape: tuple[int, int],
+    cfa: str,
+    bits: int,
+    black_dn: Any = None,
+    white_dn: float | None = None,
+    byte_order: Literal["little", "big"] = "little",
+    header_bytes: int = 0,
+    pixel_um: float = 1.0,
+    window: Position = (0, 0),
+    exposure: Exposure | None = None,
+) -> Capture:
+    """Read whole numbers of 1 or 2 bytes, row after row, without a header that says what they are.
+
+    Parameters
+    ----------
+    path : path
+    shape : (rows, cols)
+    cfa : str
+        Pattern of the first pixel, or ``MONO``.
+    bits : int
+        Bits used, 1 to 16: up to 8 stored in one byte, above in two.
+    black_dn : number or 2x2, optional
+        In DN from the first pixel.  Unknown: 0, with a warning.
+    white_dn : float, optional
+        Default 2**bits - 1.
+    byte_order : "little" or "big"
+    header_bytes : int
+        Bytes to skip.
+    pixel_um : float
+        Pixel pitch in um.
+    window : (row0, col0)
+        Sensor pixel of the first pixel, for a sensor that just holds the window.
+    exposure : Exposure, optional
+
+    Returns
+    -------
+    Capture
+        ``provenance`` holds ``file``, ``sha256`` and ``warnings`` (code, message): clipped black,
+        stuck or deviating rim lines, values that never occur.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or its size does not fit, a value does not fit in ``bits``, or every
+        pixel is the same.
+    """
+    data = read_bytes(path, kind="a raw file")
+    rows, cols = shape
+    if rows < 1 or cols < 1 or not 1 <= bits <= 16 or header_bytes < 0:
+        raise InputError(
+            f"{path}: shape {rows}x{cols}, {bits} bits, {header_bytes} header bytes; positive sizes and 1 to 16 bits are needed"
+        )
+    size = 1 if bits <= 8 else 2
+    needed = header_bytes + rows * cols * size
+    if len(data) != needed:
+        raise refusal(
+            path,
+            f"the file has {len(data)} bytes",
+            f"{needed} for {rows} x {cols} pixels of {size} bytes{f' after {header_bytes} header bytes' if header_bytes else ''}",
+            "correct the shape, the bits or the header size",
+        )
+    kind = "u1" if size == 1 else ("<u2" if byte_order == "little" else ">u2")
+    mosaic = np.frombuffer(data, kind, count=rows * cols, offset=header_bytes).astype(np.uint16).reshape(rows, cols)
+    top = int(mosaic.max())
+    if top >= 2**bits:
+        raise refusal(
+            path,
+            f"its highest value is {top}",
+            f"values up to {2**bits - 1} for {bits} bits",
+            "correct the bits or the byte order",
+        )
+    if mosaic.size > 1 and bool((mosaic == mosaic[0, 0]).all()):
+        raise refusal(path, f"every pixel is {int(mosaic[0, 0])}", "a picture", "check shape and file")
+    exact: Any = 0.0 if black_dn is None else black_dn
+    at_window = Sensor(1, 1, pixel_um, cfa, exact, 2.0**bits - 1 if white_dn is None else white_dn, bits)
+    row0, col0 = window
+    sensor = Sensor(
+        row0 + rows,
+        col0 + cols,
+        pixel_um,
+        pattern_at(cfa, window),
+        black_at(at_window.black_dn, window),
+        at_window.white_dn,
+        bits,
+    )
+    capture = Capture(mosaic, sensor, window, exposure or Exposure())
+    provenance = {
+        "file": Path(path).name,
+        "sha256": hashlib.sha256(data).hexdigest(),
+        "black_used": "not known, taken as 0" if black_dn is None else "given",
+        "warnings": tuple(asdict(r) for r in _remarks(capture, black_known=black_dn is not None)),
+    }
+    return Capture(mosaic, sensor, window, capture.exposure, provenance)
+
+
+def _remarks(capture: Capture, *, black_known: bool) -> list[Remark]:
+    remarks = (
+        []
+        if black_known
+        else [Remark("black_not_known", "no black level was given: 0 is used, and every signal contains the true one")]
+    )
+    remarks += clipping_remarks(clipping(capture))
+    remarks += line_remarks(capture.mosaic)
+    return remarks + code_remarks(code_use(capture.mosaic))

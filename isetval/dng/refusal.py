@@ -1,0 +1,74 @@
+"""One sentence for a file that cannot be used, and what the file really is."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from isetval.core.errors import InputError
+
+MAGIC = (
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"\x89PNG\r\n\x1a\n", "a PNG picture"),
+    (b"GIF8", "a GIF picture"),
+    (b"%PDF", "a PDF document"),
+    (b"PK\x03\x04", "a ZIP archive"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"FUJIFILMCCD-RAW", "a Fujifilm RAF raw file"),
+    (b"\x00\x00\x00\x0cJXL ", "a JPEG XL picture"),
+    (b"II*\x00\x10\x00\x00\x00CR", "a Canon CR2 raw file"),
+    (b"II+\x00", "a BigTIFF"),
+    (b"MM\x00+", "a BigTIFF"),
+)
+REMEDY = "convert it to an uncompressed or losslessly compressed Bayer DNG"
+
+
+@dataclass(frozen=True)
+class Remark:
+    """A doubt about a file that does not stop its use: a stable code and a sentence."""
+
+    code: str
+    message: str
+
+
+def refusal(path: object, found: str, needed: str, remedy: str = REMEDY) -> InputError:
+    """The error for a file: what was found, what is needed, what to do."""
+    return InputError(f"{path}: {found}; isetval needs {needed}; {remedy}")
+
+
+def read_bytes(path: str | os.PathLike[str], *, kind: str = "a DNG file") -> bytes:
+    """The whole file, or one sentence on why there is none.
+
+    Raises
+    ------
+    InputError
+        For a missing file, a directory, an empty or an unreadable file.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise refusal(target, "this is a directory", kind, "name a file inside it")
+    try:
+        data = target.read_bytes()
+    except FileNotFoundError:
+        raise refusal(target, "there is no such file", kind, "check the name and the folder") from None
+    except OSError as error:
+        raise refusal(target, f"the file cannot be read ({error.strerror})", kind, "check its permissions") from None
+    if not data:
+        raise refusal(target, "the file is empty (0 bytes)", kind, "copy it again from the camera")
+    return data
+
+
+def what_is(data: bytes) -> str:
+    """Words for what the first bytes of a file say it is."""
+    for magic, words in MAGIC:
+        if data.startswith(magic):
+            return words
+    if data[4:8] == b"ftyp":
+        return "an ISO media file (HEIF, AVIF, CR3 or video)"
+    if data[:4] in (b"II*\x00", b"MM\x00*"):
+        return "a TIFF"
+    head = data[:512]
+    if all(byte >= 32 or byte in (9, 10, 13) for byte in head):
+        return "a text file"
+    return "neither a TIFF nor any other picture known here"

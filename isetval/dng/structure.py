@@ -1,0 +1,94 @@
+"""Does the file hold all the samples that its tags promise?  Checked before anything is decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from isetval.dng.refusal import refusal
+from isetval.dng.tags import COMPRESSION_NAMES, COMPRESSIONS, RawTags
+
+RECOPY = "copy the file again from the camera"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the samples lie in the file: sizes in pixels, pieces (strips or tiles) in bytes."""
+
+    rows: int
+    cols: int
+    bits: int
+    compression: int
+    offsets: tuple[int, ...]
+    byte_counts: tuple[int, ...]
+    tiled: bool
+
+
+def check_layout(path: object, tags: RawTags, file_size: int) -> Layout:
+    """Sizes, compression and byte ranges of the raw image, or the reason why they cannot be right.
+
+    Raises
+    ------
+    InputError
+        For a compression that cannot be read, missing tiles or strips, or pieces outside the file.
+    """
+    rows, cols, bits, compression = (int(_one(tags.raw.tags.valueof(c), d)) for c, d in ((257, 0), (256, 0), (258, 1), (259, 1)))
+    if rows < 1 or cols < 1:
+        raise refusal(path, f"the raw image is {rows} x {cols} pixels", "at least one pixel", RECOPY)
+    if compression not in COMPRESSIONS:
+        name = COMPRESSION_NAMES.get(compression, "unknown")
+        raise refusal(path, f"compression {compression} ({name})", "an uncompressed or lossless-JPEG raw image")
+    if not 8 <= bits <= 16:
+        raise refusal(path, f"{bits} bits a sample", "8 to 16 bits")
+    tiled = 324 in tags.raw.tags
+    offsets, counts = (_many(tags.raw.tags.valueof(c)) for c in ((324, 325) if tiled else (273, 279)))
+    wanted = _pieces(tags, rows, cols, bits=bits, tiled=tiled)
+    word = "tiles" if tiled else "strips"
+    if len(offsets) != len(wanted) or len(counts) != len(wanted):
+        raise refusal(
+            path,
+            f"pixels are missing: the raw image of {rows} x {cols} lists {len(offsets)} {word} and {len(counts)} byte counts",
+            f"{len(wanted)} {word}",
+            "use the original file, this one has been hollowed out",
+        )
+    layout = Layout(rows, cols, bits, compression, offsets, counts, tiled)
+    _check_ranges(path, layout, wanted, file_size)
+    return layout
+
+
+def _one(value: Any, default: int) -> int:
+    if value is None:
+        return default
+    return int(value[0] if isinstance(value, tuple) else value)
+
+
+def _many(value: Any) -> tuple[int, ...]:
+    if value is None:
+        return ()
+    return tuple(int(v) for v in value) if isinstance(value, Sequence) else (int(value),)
+
+
+def _pieces(tags: RawTags, rows: int, cols: int, *, bits: int, tiled: bool) -> list[int]:
+    """Uncompressed size in bytes of every strip or tile."""
+    if tiled:
+        width, height = (_one(tags.raw.tags.valueof(c), 0) for c in (322, 323))
+        if width < 1 or height < 1:
+            return []
+        return [(width * bits + 7) // 8 * height] * (-(-rows // height) * -(-cols // width))
+    height = min(max(_one(tags.raw.tags.valueof(278), rows), 1), rows)
+    line = (cols * bits + 7) // 8
+    return [line * min(height, rows - first) for first in range(0, rows, height)]
+
+
+def _check_ranges(path: object, layout: Layout, wanted: Sequence[int], file_size: int) -> None:
+    for number, (offset, count, size) in enumerate(zip(layout.offsets, layout.byte_counts, wanted, strict=True)):
+        if offset < 8 or count < 1 or offset + count > file_size:
+            raise refusal(
+                path,
+                f"the file of {file_size} bytes is cut off: piece {number} of the raw image ends at byte {offset + count}",
+                "a whole file",
+                RECOPY,
+            )
+        if layout.compression == 1 and count < size:
+            raise refusal(path, f"piece {number} of the raw image has {count} bytes", f"{size} bytes", RECOPY)
