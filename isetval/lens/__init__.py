@@ -1,0 +1,16 @@
+"""Lenses as ray-transfer functions: tracing, illumination, focus, PSF, diffraction, and an audit of lens files."""
+
+from isetval._lazy import lazy_names
+
+_NAMES = {
+    "LensAudit": "isetval.lens.audit",
+    "Prescription": "isetval.lens.prescription",
+    "RayTransferLens": "isetval.lens.ray_transfer",
+    "audit": "isetval.lens.examination",
+    "audit_file": "isetval.lens.audit",
+    "default_lens": "isetval.lens.stored",
+    "from_rays": "isetval.lens.fit",
+    "load_lens": "isetval.lens.ray_transfer",
+}
+__all__ = sorted(_NAMES)
+__getattr__, __dir__ = lazy_names(__name__, _NAMES)

@@ -1,0 +1,151 @@
+"""Film distance against object distance: conjugates by the smallest spot on the axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from isetval.core.errors import InputError
+from isetval.lens.illumination import focal_length_mm
+from isetval.lens.polynomials import FloatArray
+from isetval.lens.psf import spot
+from isetval.lens.ray_transfer import RayTransferLens
+
+NEAREST_OBJECT_M = 0.02
+
+
+def spot_radius_mm(
+    lens: RayTransferLens,
+    *,
+    film_mm: float,
+    object_m: float = math.inf,
+    r_mm: float = 0.0,
+    wavelength_nm: float | None = None,
+) -> float:
+    """Root-mean-square spot radius on the film at a field height.
+
+    Parameters
+    ----------
+    film_mm : float
+        Film to rear vertex.
+    object_m : float
+        Object to front vertex; infinity allowed.
+    r_mm : float
+        Field height; on the axis by default.
+    wavelength_nm : float
+        Nearest table; default 550.
+    """
+    s = spot(lens, r_mm=r_mm, film_mm=film_mm, object_m=object_m, wavelength_nm=wavelength_nm)
+    return float(np.sqrt((s.weight * (s.offset_mm**2).sum(axis=0)).sum()))
+
+
+def film_for_object(
+    lens: RayTransferLens, object_m: float = math.inf, *, r_mm: float = 0.0, wavelength_nm: float | None = None
+) -> float:
+    """Film distance (film to rear vertex, mm) with the smallest root-mean-square spot for an object.
+
+    Parameters
+    ----------
+    object_m : float
+        Object to front vertex.
+    r_mm : float
+        Field height on the film; on the axis by default.
+
+    Raises
+    ------
+    InputError
+        No focus within reach of the file's film plane.
+    """
+    _check_object(object_m)
+    focal = focal_length_mm(lens, wavelength_nm=wavelength_nm)
+    reach = 0.08 * focal
+    start = lens.plane_offset_input_mm + focal**2 / (object_m * 1e3)
+
+    def blur(film_mm: float) -> float:
+        return spot_radius_mm(lens, film_mm=film_mm, object_m=object_m, r_mm=r_mm, wavelength_nm=wavelength_nm)
+
+    low, high = start - reach, start + reach
+    found = _minimum(blur, low, high)
+    if min(found - low, high - found) < 0.01 * reach:
+        raise InputError(
+            f"lens '{lens.name}': no focus for an object at {object_m} m with the film within {low:.2f} to {high:.2f} mm; "
+            "use an object that is further away"
+        )
+    return found
+
+
+def object_for_film(lens: RayTransferLens, film_mm: float, *, r_mm: float = 0.0, wavelength_nm: float | None = None) -> float:
+    """Object distance (object to front vertex, m) that a film distance focuses; infinity where it lies beyond 1000 m.
+
+    The search runs over 1/distance, so a film that is too near to the lens for any object gives infinity.
+    """
+
+    def blur(vergence: float) -> float:
+        distance = math.inf if vergence <= 0 else 1 / vergence
+        return spot_radius_mm(lens, film_mm=film_mm, object_m=distance, r_mm=r_mm, wavelength_nm=wavelength_nm)
+
+    found = _minimum(blur, 0.0, 1 / NEAREST_OBJECT_M, tolerance=1e-5)
+    return math.inf if found < 1e-3 else 1 / found
+
+
+def focus_curve(
+    lens: RayTransferLens, object_m: npt.ArrayLike, *, r_mm: float = 0.0, wavelength_nm: float | None = None
+) -> FloatArray:
+    """Best film distances (mm) for several object distances (m), same shape."""
+    distances = np.asarray(object_m, dtype=np.float64)
+    films = [film_for_object(lens, float(d), r_mm=r_mm, wavelength_nm=wavelength_nm) for d in distances.ravel()]
+    return np.array(films).reshape(distances.shape)
+
+
+def field_curvature_um(
+    lens: RayTransferLens, r_mm: npt.ArrayLike, *, object_m: float = math.inf, wavelength_nm: float | None = None
+) -> FloatArray:
+    """Best film distance at field heights minus that on the axis, in um, same shape as r."""
+    heights = np.asarray(r_mm, dtype=np.float64)
+    axis = film_for_object(lens, object_m, wavelength_nm=wavelength_nm)
+    films = [film_for_object(lens, object_m, r_mm=float(r), wavelength_nm=wavelength_nm) for r in heights.ravel()]
+    return (np.array(films).reshape(heights.shape) - axis) * 1e3
+
+
+def axial_color_um(lens: RayTransferLens, *, object_m: float = math.inf) -> dict[float, float]:
+    """Best film distance of every wavelength table minus that of the reference (nearest 550 nm), in um."""
+    reference = film_for_object(lens, object_m)
+    return {w: (film_for_object(lens, object_m, wavelength_nm=w) - reference) * 1e3 for w in lens.wavelengths_nm}
+
+
+def lateral_color_um(lens: RayTransferLens, r_mm: float, *, film_mm: float | None = None) -> dict[float, float]:
+    """Image height of every wavelength minus that of the reference for the same far object point, in um.
+
+    Parameters
+    ----------
+    r_mm : float
+        Image height at the reference wavelength (nearest 550 nm).
+    film_mm : float
+        Film to rear vertex; default best focus for a far object.
+    """
+    film = film_for_object(lens) if film_mm is None else film_mm
+    target = spot(lens, r_mm=r_mm, film_mm=film).scene_center[1]
+    shifts = {}
+    for wavelength in lens.wavelengths_nm:
+        s = spot(lens, r_mm=r_mm, film_mm=film, wavelength_nm=wavelength)
+        shifts[wavelength] = float((target - s.scene_center[1]) / s.scene_per_film[1, 1]) * 1e3
+    return shifts
+
+
+def _check_object(object_m: float) -> None:
+    """Refuse object distances that no camera focuses."""
+    if not object_m >= NEAREST_OBJECT_M:
+        raise InputError(f"object distance {object_m} m; at least {NEAREST_OBJECT_M} m (front vertex to object) is needed")
+
+
+def _minimum(function: Callable[[float], float], low: float, high: float, tolerance: float = 1e-7) -> float:
+    """Position of the smallest value: coarse scan, then bounded Brent."""
+    from scipy.optimize import minimize_scalar
+
+    grid = np.linspace(low, high, 33)
+    best = int(np.argmin([function(float(x)) for x in grid]))
+    bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, 32)]))
+    return float(minimize_scalar(function, bounds=bounds, method="bounded", options={"xatol": tolerance}).x)
