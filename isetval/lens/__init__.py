@@ -3,11 +3,11 @@
 from isetval._lazy import lazy_names
 
 _NAMES = {
-    "LensAudit": "isetval.lens.audit",
+    "LensAudit": "isetval.lens.auditing",
     "Prescription": "isetval.lens.prescription",
     "RayTransferLens": "isetval.lens.ray_transfer",
-    "audit": "isetval.lens.examination",
-    "audit_file": "isetval.lens.audit",
+    "audit": "isetval.lens.auditing",
+    "audit_file": "isetval.lens.auditing",
     "default_lens": "isetval.lens.stored",
     "from_rays": "isetval.lens.fit",
     "load_lens": "isetval.lens.ray_transfer",

@@ -136,7 +136,7 @@ class RayPolynomials:
 
     @cached_property
     def longitudinal(self) -> PolynomialSet:
-        """outz and the fitted outdz (tracing uses outdz = sqrt(1 - outdx^2 - outdy^2))."""
+        """Outz and the fitted outdz (tracing uses outdz = sqrt(1 - outdx^2 - outdy^2))."""
         return PolynomialSet([self.outputs[name] for name in ("outz", "outdz")])
 
     @cached_property

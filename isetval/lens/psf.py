@@ -47,7 +47,7 @@ class Spot:
 
 def _scene_position(lens: RayTransferLens, rays: TracedRays, object_m: float) -> FloatArray:
     """Crossing of the object plane divided by its distance from the front vertex, (2, n); slopes at infinity."""
-    slope = rays.direction[:2] / rays.direction[2]
+    slope: FloatArray = rays.direction[:2] / rays.direction[2]
     if math.isinf(object_m):
         return slope
     distance = object_m * 1e3

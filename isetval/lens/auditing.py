@@ -1,0 +1,255 @@
+"""Audit of a lens file: its f-number, fall-off, chief rays and focus, and where it contradicts itself or its label."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isetval.core.errors import InputError
+from isetval.lens.contradictions import Findings, Flag, find_flags
+from isetval.lens.evidence import entrance_pupil, ray_jacobian
+from isetval.lens.focus import axial_color_um, film_for_object, focus_curve, object_for_film
+from isetval.lens.illumination import distortion_percent, effective_f_number, field_angle_deg, focal_length_mm
+from isetval.lens.ray_transfer import RayTransferLens, load_lens
+from isetval.lens.stored import StatedFacts, stated_facts
+
+SENSOR_DIAGONAL_MM = 7.056
+OBJECTS_M = (math.inf, 10.0, 3.0, 1.0, 0.5, 0.3, 0.1)
+
+
+@dataclass(frozen=True)
+class StatedFocus:
+    """A film distance that is said to focus an object, and what the rays say (object to front vertex)."""
+
+    film_mm: float
+    stated_object_m: float
+    found_object_m: float
+    needed_film_mm: float
+
+
+@dataclass(frozen=True)
+class LensAudit:
+    """What a lens file holds, and its contradictions.
+
+    Attributes
+    ----------
+    film_mm : float
+        Film to rear vertex for f-number, fall-off and chief rays: stated with the f-number, else the file's input plane.
+    f_number : float
+        Equivalent f-number of the on-axis pass region, 1/(2 sqrt(E/(pi L))).
+    irradiance_factor : float
+        E/L on the axis in sr.
+    stated_f_number : mapping
+        Name of a statement -> f-number (options, the file's own words, stored facts).
+    light_factor : mapping
+        Name of a statement -> (f_number / stated)^2, by which a model must multiply the light.
+    r_mm, relative_illumination, chief_ray_angle_deg, field_angle_deg, distortion_percent : tuple
+        Over the field up to the sensor corner.
+    focus : tuple
+        Pairs (object_m, best film_mm); object to front vertex, film to rear vertex.
+    stated_focus : tuple of StatedFocus
+    etendue_ratio : (3,)
+        Smallest, mean and largest determinant of the ray map (1 conserves étendue).
+    flags : tuple of Flag
+    """
+
+    file: str
+    sha256: str
+    name: str
+    degree: int
+    wavelengths_nm: tuple[float, ...]
+    film_mm: float
+    f_number: float
+    irradiance_factor: float
+    focal_length_mm: float
+    entrance_pupil_radius_mm: float
+    stated_f_number: Mapping[str, float]
+    light_factor: Mapping[str, float]
+    r_mm: tuple[float, ...]
+    relative_illumination: tuple[float, ...]
+    chief_ray_angle_deg: tuple[float, ...]
+    field_angle_deg: tuple[float, ...]
+    distortion_percent: tuple[float, ...]
+    focus: tuple[tuple[float, float], ...]
+    stated_focus: tuple[StatedFocus, ...]
+    axial_color_um: Mapping[float, float]
+    etendue_ratio: tuple[float, float, float]
+    table_end_mm: float
+    sensor_corner_mm: float
+    stated_source: str
+    flags: tuple[Flag, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The audit as plain numbers, lists and words; infinity as the string "infinity"."""
+        plain = asdict(self)
+        curves = ("relative_illumination", "chief_ray_angle_deg", "field_angle_deg", "distortion_percent")
+        for name in curves:
+            plain[name] = {"r_mm": list(self.r_mm), "value": list(getattr(self, name))}
+        plain["focus"] = {
+            "object_m": [o for o, _ in self.focus],
+            "film_mm": [f for _, f in self.focus],
+            "stated": plain.pop("stated_focus"),
+        }
+        plain["axial_color_um"] = {str(k): v for k, v in self.axial_color_um.items()}
+        plain.pop("r_mm")
+        cleaned: dict[str, Any] = _jsonable(plain)
+        return cleaned
+
+    def lines(self) -> list[str]:
+        """The audit in words, one line each."""
+        from isetval.lens.words import audit_lines
+
+        return audit_lines(self)
+
+
+def _jsonable(value: Any) -> Any:
+    """Tuples as lists, infinities as words."""
+    if isinstance(value, dict):
+        return {k: _jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return "infinity" if value > 0 else None
+    return value
+
+
+def audit(
+    lens: RayTransferLens,
+    *,
+    stated_f_number: float | Mapping[str, float] | None = None,
+    stated_focus: Mapping[float, float] | None = None,
+    stated_focal_length_mm: float | None = None,
+    sensor_diagonal_mm: float | None = None,
+    film_mm: float | None = None,
+    use_stored_facts: bool = True,
+    file: str = "",
+    sha256: str = "",
+) -> LensAudit:
+    """Examine a lens and list its contradictions.
+
+    Parameters
+    ----------
+    stated_f_number : float or mapping
+        F-number(s) the lens is said to have; added to what its name, description and the stored facts say.
+    stated_focus : mapping
+        Film distance (mm, film to rear vertex) -> object distance (m, object to front vertex).
+    stated_focal_length_mm : float
+    sensor_diagonal_mm : float
+        Default 7.056 (the sensor of the published model) or what the stored facts say.
+    film_mm : float
+        Film distance at which the f-number is stated; default the stored fact, else the file's input plane.
+    use_stored_facts : bool
+        Look the lens's name up in ``data/lens/*_stated.toml``.
+    """
+    facts = _merged(lens, stated_f_number, stated_focus, stated_focal_length_mm, sensor_diagonal_mm, use_stored_facts)
+    if film_mm is not None:
+        facts = replace(facts, film_mm=film_mm)
+    corner = (facts.sensor_diagonal_mm or SENSOR_DIAGONAL_MM) / 2
+    r = np.linspace(0.0, corner, 22)
+    film = facts.film_mm
+    f_number = float(effective_f_number(lens, film_mm=film))
+    _, determinant = ray_jacobian(lens)
+    result = LensAudit(
+        file=file,
+        sha256=sha256,
+        name=lens.name,
+        degree=lens.degree,
+        wavelengths_nm=lens.wavelengths_nm,
+        film_mm=lens.plane_offset_input_mm if film is None else film,
+        f_number=f_number,
+        irradiance_factor=float(lens.irradiance_factor(0.0, 0.0, film_mm=film)),
+        focal_length_mm=focal_length_mm(lens),
+        entrance_pupil_radius_mm=entrance_pupil(lens).mean_radius_mm,
+        stated_f_number=facts.f_number,
+        light_factor={name: (f_number / n) ** 2 for name, n in facts.f_number.items()},
+        r_mm=_tuple(r),
+        relative_illumination=_tuple(lens.relative_illumination(r, film_mm=film)),
+        chief_ray_angle_deg=_tuple(lens.chief_ray_angle_deg(r, film_mm=film)),
+        field_angle_deg=_tuple(field_angle_deg(lens, r)),
+        distortion_percent=_tuple(distortion_percent(lens, r)),
+        focus=_focus(lens),
+        stated_focus=_stated_focus(lens, facts.focus_object_m),
+        axial_color_um=axial_color_um(lens) if len(lens.tables) > 1 else {},
+        etendue_ratio=(float(determinant.min()), float(determinant.mean()), float(determinant.max())),
+        table_end_mm=lens.table().region.last_position_mm,
+        sensor_corner_mm=corner,
+        stated_source=facts.source,
+        flags=(),
+    )
+    findings = Findings(
+        lens,
+        result.f_number,
+        facts,
+        corner,
+        result.focal_length_mm,
+        determinant,
+        tuple((s.film_mm, s.stated_object_m, s.found_object_m, s.needed_film_mm) for s in result.stated_focus),
+    )
+    return replace(result, flags=find_flags(findings))
+
+
+def audit_file(path: str | Path, **stated: Any) -> LensAudit:
+    """Audit an ISET ray-transfer JSON; keyword arguments as in `audit`."""
+    lens = load_lens(path)
+    digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return audit(lens, file=Path(path).name, sha256=digest, **stated)
+
+
+def _tuple(values: Any) -> tuple[float, ...]:
+    """An array as a tuple of floats."""
+    return tuple(float(v) for v in values)
+
+
+def _focus(lens: RayTransferLens) -> tuple[tuple[float, float], ...]:
+    """Best film distances for the standard object distances."""
+    return tuple(zip(OBJECTS_M, _tuple(focus_curve(lens, OBJECTS_M)), strict=True))
+
+
+def _stated_focus(lens: RayTransferLens, stated: Mapping[float, float]) -> tuple[StatedFocus, ...]:
+    """Each stated pair beside what the rays say."""
+    return tuple(
+        StatedFocus(film, distance, object_for_film(lens, film), film_for_object(lens, distance))
+        for film, distance in stated.items()
+    )
+
+
+def _merged(
+    lens: RayTransferLens,
+    f_number: float | Mapping[str, float] | None,
+    focus: Mapping[float, float] | None,
+    focal_length_mm: float | None,
+    diagonal_mm: float | None,
+    use_stored: bool,
+) -> StatedFacts:
+    """Statements from stored facts, the file's words and the caller, the later ones first in rank."""
+    facts = stated_facts(lens.name) if use_stored else StatedFacts()
+    numbers = dict(facts.f_number)
+    numbers.update({f"the file's words '{text}'": n for text, n in f_numbers_in(f"{lens.name} {lens.description}")})
+    if isinstance(f_number, Mapping):
+        numbers.update(f_number)
+    elif f_number is not None:
+        numbers["stated"] = float(f_number)
+    bad = {k: v for k, v in numbers.items() if not v > 0}
+    if bad:
+        raise InputError(f"stated f-number {bad}: positive numbers are needed")
+    return StatedFacts(
+        f_number=numbers,
+        focus_object_m={**facts.focus_object_m, **(focus or {})},
+        film_mm=facts.film_mm,
+        focal_length_mm=focal_length_mm or facts.focal_length_mm,
+        sensor_diagonal_mm=diagonal_mm or facts.sensor_diagonal_mm,
+        source=facts.source,
+    )
+
+
+def f_numbers_in(text: str) -> list[tuple[str, float]]:
+    """F-numbers that a text names, such as F/1.8, f/2 or F1.73."""
+    found = re.findall(r"(?<![A-Za-z0-9])([fF]/\s?\d+(?:\.\d+)?|F\d+\.\d+)(?![\d.]*mm)", text)
+    return [(f, float(re.sub(r"[^\d.]", "", f))) for f in found]
