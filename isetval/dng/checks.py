@@ -184,29 +184,17 @@ def describe_capture(capture: Capture) -> dict[str, Any]:
     """
     counts = clipping(capture)
     codes = code_use(capture.mosaic)
-    remarks = [*_stored(capture), *code_remarks(codes)]
-    if not any(r.code.startswith("outlier_") for r in remarks):
-        remarks += line_remarks(capture.mosaic)
-    if not any(r.code.startswith("clipped_") for r in remarks):
-        remarks += clipping_remarks(counts)
+    remarks = [*_stored(capture), *clipping_remarks(counts), *line_remarks(capture.mosaic), *code_remarks(codes)]
     unique = list(dict.fromkeys(remarks))
+    focus_m = capture.exposure.focus_m
     return {
         "shape": list(capture.mosaic.shape),
         "cfa": capture.sensor.cfa,
         "bits": capture.sensor.bits,
         "black_dn": {plane: plane_black_dn(capture, plane) for plane in planes_of(capture)},
         "white_dn": capture.sensor.white_dn,
-        "exposure": asdict(capture.exposure),
-        "clipped": {
-            c.plane: {
-                "pixels": c.pixels,
-                "at_zero": c.at_zero,
-                "at_white": c.at_white,
-                "share_at_zero": c.share_at_zero,
-                "share_at_white": c.share_at_white,
-            }
-            for c in counts
-        },
+        "exposure": asdict(capture.exposure) | ({"focus_m": "infinity"} if focus_m == np.inf else {}),
+        "clipped": {c.plane: asdict(c) | {"share_at_zero": c.share_at_zero, "share_at_white": c.share_at_white} for c in counts},
         "bad_pixels": bad_pixels(capture),
         "codes": asdict(codes),
         "warnings": [asdict(r) for r in unique],

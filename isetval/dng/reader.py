@@ -107,7 +107,7 @@ def describe_file(path: str | os.PathLike[str], *, black: BlackChoice = "auto") 
 
 def _decode(path: object, data: bytes) -> _Decoded:
     with open_tags(path, data) as tags:
-        layout = check_layout(path, tags, len(data))
+        layout = check_layout(path, tags, data)
         (top, left, bottom, right), remarks = active_area(path, tags, rows=layout.rows, cols=layout.cols)
         levels = read_levels(path, tags, shape=(bottom - top, right - left))
         frame = decode(path, data, tags, layout)

@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from isetval.dng.lossless_jpeg import frame_header
 from isetval.dng.refusal import refusal
 from isetval.dng.tags import COMPRESSION_NAMES, COMPRESSIONS, RawTags
 
+# more strips or tiles than any file has: a nonsense size must not make a long list
+MOST_PIECES = 1_000_000
 RECOPY = "copy the file again from the camera"
 
 
@@ -25,7 +28,7 @@ class Layout:
     tiled: bool
 
 
-def check_layout(path: object, tags: RawTags, file_size: int) -> Layout:
+def check_layout(path: object, tags: RawTags, data: bytes) -> Layout:
     """Sizes, compression and byte ranges of the raw image, or the reason why they cannot be right.
 
     Raises
@@ -43,7 +46,7 @@ def check_layout(path: object, tags: RawTags, file_size: int) -> Layout:
         raise refusal(path, f"{bits} bits a sample", "8 to 16 bits")
     tiled = 324 in tags.raw.tags
     offsets, counts = (_many(tags.raw.tags.valueof(c)) for c in ((324, 325) if tiled else (273, 279)))
-    wanted = _pieces(tags, rows, cols, bits=bits, tiled=tiled)
+    wanted = _pieces(tags, rows, cols, tiled=tiled)
     word = "tiles" if tiled else "strips"
     if len(offsets) != len(wanted) or len(counts) != len(wanted):
         raise refusal(
@@ -53,7 +56,7 @@ def check_layout(path: object, tags: RawTags, file_size: int) -> Layout:
             "use the original file, this one has been hollowed out",
         )
     layout = Layout(rows, cols, bits, compression, offsets, counts, tiled)
-    _check_ranges(path, layout, wanted, file_size)
+    _check_ranges(path, layout, wanted, data)
     return layout
 
 
@@ -69,26 +72,39 @@ def _many(value: Any) -> tuple[int, ...]:
     return tuple(int(v) for v in value) if isinstance(value, Sequence) else (int(value),)
 
 
-def _pieces(tags: RawTags, rows: int, cols: int, *, bits: int, tiled: bool) -> list[int]:
-    """Uncompressed size in bytes of every strip or tile."""
+def _pieces(tags: RawTags, rows: int, cols: int, *, tiled: bool) -> list[tuple[int, int]]:
+    """Rows and columns of every strip or tile."""
     if tiled:
         width, height = (_one(tags.raw.tags.valueof(c), 0) for c in (322, 323))
         if width < 1 or height < 1:
             return []
-        return [(width * bits + 7) // 8 * height] * (-(-rows // height) * -(-cols // width))
+        number = -(-rows // height) * -(-cols // width)
+        return [(height, width)] * min(number, MOST_PIECES)
     height = min(max(_one(tags.raw.tags.valueof(278), rows), 1), rows)
-    line = (cols * bits + 7) // 8
-    return [line * min(height, rows - first) for first in range(0, rows, height)]
+    return [(min(height, rows - first), cols) for first in range(0, min(rows, height * MOST_PIECES), height)]
 
 
-def _check_ranges(path: object, layout: Layout, wanted: Sequence[int], file_size: int) -> None:
-    for number, (offset, count, size) in enumerate(zip(layout.offsets, layout.byte_counts, wanted, strict=True)):
-        if offset < 8 or count < 1 or offset + count > file_size:
+def _check_ranges(path: object, layout: Layout, wanted: Sequence[tuple[int, int]], data: bytes) -> None:
+    for number, (offset, count, (rows, cols)) in enumerate(zip(layout.offsets, layout.byte_counts, wanted, strict=True)):
+        if offset < 8 or count < 1 or offset + count > len(data):
             raise refusal(
                 path,
-                f"the file of {file_size} bytes is cut off: piece {number} of the raw image ends at byte {offset + count}",
+                f"the file of {len(data)} bytes is cut off: piece {number} of the raw image ends at byte {offset + count}",
                 "a whole file",
                 RECOPY,
             )
+        size = (cols * layout.bits + 7) // 8 * rows
         if layout.compression == 1 and count < size:
             raise refusal(path, f"piece {number} of the raw image has {count} bytes", f"{size} bytes", RECOPY)
+        if layout.compression == 7:
+            _check_jpeg(path, number, memoryview(data)[offset : offset + count], samples=rows * cols)
+
+
+def _check_jpeg(path: object, number: int, piece: memoryview, *, samples: int) -> None:
+    frame = frame_header(piece)
+    if isinstance(frame, str):
+        raise refusal(path, f"piece {number} of the raw image {frame}", "whole lossless JPEG pieces", RECOPY)
+    if frame.samples != samples:
+        raise refusal(
+            path, f"piece {number} of the raw image holds {frame.samples} samples", f"the {samples} of its tags", RECOPY
+        )

@@ -35,7 +35,19 @@ COMPRESSION_NAMES = {
     50000: "Zstandard",
     52546: "JPEG XL",
 }
-BROKEN = (tifffile.TiffFileError, struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError, EOFError)
+# what a TIFF parser meets in a damaged file
+BROKEN = (
+    tifffile.TiffFileError,
+    struct.error,
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 
 
 @dataclass(frozen=True)
