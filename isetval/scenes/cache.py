@@ -1,0 +1,121 @@
+"""A folder of results named by the hash of everything that made them.
+
+The folder is ``$ISETVAL_CACHE``, else ``$XDG_CACHE_HOME/isetval``, else ``~/.cache/isetval`` (XDG Base
+Directory Specification 0.8).  Files are written whole or not at all; a file that cannot be read counts
+as absent; a folder that cannot be written means that nothing is kept, never that a result is lost.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def cache_folder() -> Path:
+    """The folder for results that can be made again; not created here."""
+    own = os.environ.get("ISETVAL_CACHE")
+    if own:
+        return Path(own).expanduser()
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
+    return root / "isetval"
+
+
+def content_key(content: Any) -> str:
+    """SHA-256 (hex) of JSON-like content; equal content gives equal keys whatever the order of its names."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), default=_plain, allow_nan=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} has no place in a content key")
+
+
+def file_sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 (hex) of a file's bytes."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        for block in iter(lambda: file.read(1 << 20), b""):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def write_whole(path: Path, data: bytes) -> bool:
+    """Write ``data`` under a temporary name and rename it; False where the folder cannot be written."""
+    name = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".part-", delete=False) as file:
+            name = file.name
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except OSError:
+        if name is not None:
+            Path(name).unlink(missing_ok=True)
+        return False
+    return True
+
+
+def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Save arrays as one ``.npz`` file, whole or not at all; False where it cannot be written."""
+    import io
+
+    buffer = io.BytesIO()
+    np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
+    return write_whole(path, buffer.getvalue())
+
+
+def load_arrays(path: Path) -> Arrays | None:
+    """The arrays of a ``.npz`` file; None if it is absent or damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def save_json(path: Path, content: Any) -> bool:
+    """Save JSON, whole or not at all; False where it cannot be written."""
+    return write_whole(path, (json.dumps(content, indent=1, sort_keys=True, default=_plain) + "\n").encode())
+
+
+def load_json(path: Path) -> Any:
+    """The content of a JSON file; None if it is absent or damaged."""
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def prune(folder: Path, *, max_bytes: int) -> int:
+    """Delete the files used longest ago until ``folder`` holds at most ``max_bytes``; the bytes freed."""
+    files = []
+    for path in folder.rglob("*") if folder.is_dir() else ():
+        if path.is_file():
+            stat = path.stat()
+            files.append((stat.st_mtime, stat.st_size, path))
+    excess = sum(size for _, size, _ in files) - max_bytes
+    freed = 0
+    for _, size, path in sorted(files):
+        if freed >= excess:
+            break
+        path.unlink(missing_ok=True)
+        freed += size
+    return freed
