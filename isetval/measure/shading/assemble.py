@@ -1,0 +1,243 @@
+"""From the fitted surface to the result: curves, centres, colour ratios, maps, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from isetval.core.sensor import Sensor
+from isetval.measure.shading.blocks import Blocks
+from isetval.measure.shading.gainmaps import gain_map_report
+from isetval.measure.shading.parity import odd_even
+from isetval.measure.shading.results import ColorShading, FalloffPlane, RelativeIllumination, curve_gradient
+from isetval.measure.shading.surface import Points, Surface, evaluate
+
+if TYPE_CHECKING:
+    from isetval.measure.shading.falloff import Fitted
+
+Float = NDArray[np.float64]
+CHI2_DOF_LIMIT = 1.1
+SAME_CENTER_P = 1e-4
+RATIOS = (("R/G", "R", "G"), ("B/G", "B", "G"), ("Gr/Gb", "Gr", "Gb"))
+
+
+def build_result(
+    fitted: Fitted,
+    sensor: Sensor,
+    *,
+    radius_mm: Float | None = None,
+    black_sigma_dn: float = 0.0,
+    gain_maps: Mapping[str, ArrayLike] | None = None,
+    choices: Mapping[str, Any],
+    notes: Sequence[str],
+    settings: Mapping[str, Any],
+) -> RelativeIllumination:
+    """The public result of a fit."""
+    names = list(fitted.blocks)
+    probability = _same_center_p(fitted, names)
+    shared = probability >= SAME_CENTER_P
+    radius = np.linspace(0, fitted.reach_mm, 61) if radius_mm is None else radius_mm
+    dof = sum(int(fitted.keep[p].sum()) for p in names) - len(fitted.surface.covariance) + 4 - len(fitted.surface.free)
+    chi2 = float(sum(fitted.surface.chi2)) if shared else float(sum(fitted.single[p].chi2[0] for p in names))
+    inflation = float(np.sqrt(max(1.0, chi2 / max(dof, 1))))
+    planes = {
+        p: _plane(fitted, p, sensor, radius=radius, shared=shared, inflation=inflation, black_sigma_dn=black_sigma_dn)
+        for p in names
+    }
+    center, center_sigma = _center(fitted.surface, sensor, inflation)
+    tilt_sigma = inflation * np.sqrt(np.maximum(np.diag(fitted.surface.covariance)[-2:], 0))
+    middle = ((sensor.rows - 1) / 2, (sensor.cols - 1) / 2)
+    return RelativeIllumination(
+        planes=planes,
+        color_shading=_color_shading(fitted, names, radius, shared=shared, inflation=inflation),
+        center_px=center,
+        center_sigma_px=center_sigma,
+        decenter_px=(center[0] - middle[0], center[1] - middle[1]),
+        tilt_per_mm=(float(fitted.surface.geometry[2]), float(fitted.surface.geometry[3])),
+        tilt_sigma_per_mm=(float(tilt_sigma[0]), float(tilt_sigma[1])),
+        basis=fitted.radial.kind,
+        order=fitted.radial.order,
+        chi2=chi2,
+        dof=dof,
+        chi2_dof=chi2 / max(dof, 1),
+        chi2_dof_by_order=_by_order(fitted, names),
+        same_center_p=probability,
+        odd_even=odd_even(fitted, sensor, names),
+        gain_map_report=gain_map_report(gain_maps, planes, sensor),
+        choices=choices,
+        warnings=(*notes, *_warnings(fitted, chi2 / max(dof, 1), dof, probability)),
+        settings=settings,
+    )
+
+
+def _pixels(x_mm: float, y_mm: float, sensor: Sensor) -> tuple[float, float]:
+    pitch = sensor.pixel_um * 1e-3
+    return (y_mm / pitch + (sensor.rows - 1) / 2, x_mm / pitch + (sensor.cols - 1) / 2)
+
+
+def _center(surface: Surface, sensor: Sensor, inflation: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    pitch = sensor.pixel_um * 1e-3
+    spread = inflation * np.sqrt(np.maximum(np.diag(surface.covariance)[-4:-2], 0)) / pitch
+    return _pixels(surface.geometry[0], surface.geometry[1], sensor), (float(spread[1]), float(spread[0]))
+
+
+def _same_center_p(fitted: Fitted, names: Sequence[str]) -> float:
+    """Probability of the planes' own centres and tilts scattering this much about one common geometry."""
+    free = len(fitted.surface.free)
+    if len(names) < 2 or not free:
+        return 1.0
+    from scipy.special import gammaincc
+
+    gain = sum(fitted.common.chi2) - sum(fitted.single[p].chi2[0] for p in names)
+    points = sum(int(fitted.keep[p].sum()) for p in names)
+    scale = max(1.0, sum(fitted.single[p].chi2[0] for p in names) / max(points, 1))
+    return float(gammaincc(free * (len(names) - 1) / 2, max(gain / scale, 0) / 2))
+
+
+def _own(fitted: Fitted, plane: str, *, shared: bool) -> tuple[Surface, Float, int]:
+    """Surface that holds a plane's curve, its coefficients and its number there."""
+    surface = fitted.surface if shared else fitted.single[plane]
+    k = list(fitted.blocks).index(plane) if shared else 0
+    return surface, surface.coefficients[k], k
+
+
+def _plane(
+    fitted: Fitted, plane: str, sensor: Sensor, *, radius: Float, shared: bool, inflation: float, black_sigma_dn: float
+) -> FalloffPlane:
+    surface, coefficients, k = _own(fitted, plane, shared=shared)
+    own_covariance = surface.plane_covariance(k, k)
+    gradient, curve = curve_gradient(radius, coefficients, surface.radial)
+    middle_values = surface.radial.at_center()
+    at_center = float(coefficients @ middle_values)
+    signal = at_center * fitted.scale_dn[plane]
+    covariance = inflation**2 * gradient @ own_covariance @ gradient.T
+    lift = (1 - curve) * black_sigma_dn / signal
+    covariance = covariance + np.outer(lift, lift)
+    blocks, points, keep = fitted.blocks[plane], fitted.points[plane], fitted.keep[plane]
+    geometry = fitted.single[plane]
+    center, center_sigma = _center(geometry, sensor, inflation)
+    tilt_sigma = inflation * np.sqrt(np.maximum(np.diag(geometry.covariance)[-2:], 0))
+    chi2 = float(
+        (((points.value - evaluate(points, surface.geometry, coefficients, surface.radial)) / points.sigma) ** 2)[keep].sum()
+    )
+    dof = int(keep.sum()) - int((surface.places[k] >= 0).sum()) - len(surface.free)
+    return FalloffPlane(
+        plane=plane,
+        radius_mm=radius,
+        curve=curve,
+        sigma=np.sqrt(np.maximum(np.diag(covariance), 0)),
+        covariance=covariance,
+        center_px=center,
+        center_sigma_px=center_sigma,
+        tilt_per_mm=(float(geometry.geometry[2]), float(geometry.geometry[3])),
+        tilt_sigma_per_mm=(float(tilt_sigma[0]), float(tilt_sigma[1])),
+        signal_dn=signal,
+        signal_sigma_dn=float(inflation * fitted.scale_dn[plane] * np.sqrt(middle_values @ own_covariance @ middle_values)),
+        chi2=chi2,
+        dof=dof,
+        chi2_dof=chi2 / max(dof, 1),
+        **_maps(blocks, points, keep, surface, coefficients, at_center),
+        **_rings(points, keep, surface, at_center),
+        coefficients=coefficients,
+        coefficients_covariance=own_covariance,
+        radial=surface.radial,
+        sigma_scale=inflation,
+        black_sigma_dn=black_sigma_dn,
+        clipped_blocks=blocks.clipped_blocks,
+        bad_pixels=blocks.bad_pixels,
+        dropped_blocks=int((blocks.used & ~keep).sum()),
+    )
+
+
+def _maps(
+    blocks: Blocks, points: Points, keep: NDArray[np.bool_], surface: Surface, coefficients: Float, at_center: float
+) -> dict[str, Float]:
+    model = evaluate(points, surface.geometry, coefficients, surface.radial) / at_center
+    values = {
+        "map_row_px": blocks.row_px,
+        "map_col_px": blocks.col_px,
+        "map": np.where(keep, points.value / at_center, np.nan),
+        "map_sigma": points.sigma / at_center,
+        "model": model,
+    }
+    return values if blocks.grid is None else {k: v.reshape(blocks.grid) for k, v in values.items()}
+
+
+def _rings(points: Points, keep: NDArray[np.bool_], surface: Surface, at_center: float) -> dict[str, Float]:
+    """Weighted ring means of the tilt-corrected blocks; about 30 rings of equal width."""
+    dx, dy = points.x_mm - surface.geometry[0], points.y_mm - surface.geometry[1]
+    tilt = (1 + surface.geometry[2] * dx + surface.geometry[3] * dy) * at_center
+    radius, value, weight = np.hypot(dx, dy)[keep], (points.value / tilt)[keep], (tilt / points.sigma)[keep] ** 2
+    ring = np.minimum((radius / max(radius.max(), 1e-12) * 30).astype(int), 29)
+    total = np.bincount(ring, weight, minlength=30)
+    filled = total > 0
+    means = [np.bincount(ring, weight * v, minlength=30)[filled] / total[filled] for v in (radius, value)]
+    return {"ring_radius_mm": means[0], "ring": means[1], "ring_sigma": 1 / np.sqrt(total[filled])}
+
+
+def _color_shading(
+    fitted: Fitted, names: Sequence[str], radius: Float, *, shared: bool, inflation: float
+) -> dict[str, ColorShading]:
+    """R/G, B/G, Gr/Gb fall-off ratios; G is the mean of both greens; covariances between planes kept."""
+    if "Gr" not in names:
+        return {}
+    curves: dict[str, tuple[Float, dict[str, Float]]] = {}
+    for plane in names:
+        surface, coefficients, _ = _own(fitted, plane, shared=shared)
+        gradient, value = curve_gradient(radius, coefficients, surface.radial)
+        curves[plane] = (value, {plane: gradient})
+    green = (curves["Gr"][0] + curves["Gb"][0]) / 2
+    curves["G"] = (green, {p: curves[p][1][p] / 2 for p in ("Gr", "Gb")})
+    out = {}
+    for label, above, below in RATIOS:
+        (top, d_top), (bottom, d_bottom) = curves[above], curves[below]
+        ratio = top / bottom
+        gradients = {p: g / bottom[:, None] for p, g in d_top.items()}
+        for p, g in d_bottom.items():
+            gradients[p] = gradients.get(p, 0) - (ratio / bottom)[:, None] * g
+        out[label] = ColorShading(label, radius, ratio, inflation * _propagate(fitted, gradients, shared=shared))
+    return out
+
+
+def _propagate(fitted: Fitted, gradients: Mapping[str, Float], *, shared: bool) -> Float:
+    """Sigma of a function of several planes' coefficients."""
+    variance = np.zeros(next(iter(gradients.values())).shape[0])
+    for first, left in gradients.items():
+        surface, _, k = _own(fitted, first, shared=shared)
+        for second, right in gradients.items():
+            if not shared and first != second:
+                continue
+            cross = surface.plane_covariance(k, _own(fitted, second, shared=shared)[2])
+            variance += np.einsum("ri,ri->r", left @ cross, right)
+    return np.asarray(np.sqrt(np.maximum(variance, 0)))
+
+
+def _by_order(fitted: Fitted, names: Sequence[str]) -> Float:
+    points = sum(int(fitted.keep[p].sum()) for p in names)
+    orders = np.arange(fitted.chi2_by_order.size)
+    return np.asarray(fitted.chi2_by_order / np.maximum(points - len(names) * (orders + 1) - len(fitted.surface.free), 1))
+
+
+def _warnings(fitted: Fitted, chi2_dof: float, dof: int, probability: float) -> list[str]:
+    out = []
+    if chi2_dof > max(CHI2_DOF_LIMIT, 1 + 3 * np.sqrt(2 / max(dof, 1))):
+        out.append(
+            f"chi2/dof is {chi2_dof:.2f}, above {CHI2_DOF_LIMIT}: no even curve times a tilt describes these flats "
+            "(uneven light, dust, pattern noise, drifting level between windows); sigma is scaled up, look at the map"
+        )
+    if probability < SAME_CENTER_P:
+        out.append(f"the planes have different centres or tilts (p = {probability:.1g}); each plane's own is used for its curve")
+    if fitted.geometry == "none":
+        out.append("the windows do not surround the middle well enough to fit a centre: the sensor's middle is used")
+    elif fitted.geometry == "center":
+        out.append("centre and tilt cannot be told apart with these data: the tilt is taken as 0")
+    clipped = sum(b.clipped_blocks for b in fitted.blocks.values())
+    if clipped:
+        out.append(f"{clipped} blocks hold clipped pixels and were left out; expose less")
+    dropped = sum(int((fitted.blocks[p].used & ~fitted.keep[p]).sum()) for p in fitted.blocks)
+    if dropped:
+        out.append(f"{dropped} blocks lie more than 5 sigma off the surface and were left out (dust, spots)")
+    return out

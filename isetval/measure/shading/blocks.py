@@ -1,0 +1,280 @@
+"""Block means of colour planes with their noise, in one pass over the frames and a few rows at a time.
+
+The noise of a block mean is measured in the same pass: half the mean square of same-colour neighbour
+differences (per pixel, gradient removed), pooled over blocks as a smooth function of the signal, plus a
+row and a column part where the row or column means scatter more than the pixels explain.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, planes_of
+from isetval.core.errors import MeasurementError
+from isetval.core.sensor import plane_position
+
+Float = NDArray[np.float64]
+Int = NDArray[np.intp]
+Bool = NDArray[np.bool_]
+
+OUTLIER_SIGMAS = 6.0
+QUANTIZATION_VARIANCE = 1 / 12
+# relative variance of the neighbour-difference variance (lag 1, overlapping pairs) is 3 / pixels
+DIFFERENCE_VARIANCE_FACTOR = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Block means of one colour plane; one entry a block.
+
+    ``row_px`` and ``col_px`` are sensor pixels of the block's middle (half-pixel place of the plane in
+    the mosaic included), ``spread_row_px2`` and ``spread_col_px2`` the variance of its pixels' positions,
+    ``grid`` the number of block rows and columns when the blocks fill one window, else None.
+    """
+
+    plane: str
+    row_px: Float
+    col_px: Float
+    spread_row_px2: Float
+    spread_col_px2: Float
+    signal_dn: Float
+    sigma_dn: Float
+    used: Bool
+    clipped_blocks: int
+    bad_pixels: int
+    row_noise_dn: float
+    column_noise_dn: float
+    grid: tuple[int, int] | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Raw sums of one window's phases: arrays (phase rows, block rows, block cols, phase cols)."""
+
+    total: Float
+    square: Float
+    highest: Float
+    row_edges: Int
+    col_edges: Int
+    row_means: Float
+    col_means: Float
+
+
+def _edges(count: int, size: int) -> Int:
+    """Borders of about ``count / size`` blocks of equal size to one pixel."""
+    return np.linspace(0, count, max(1, round(count / size)) + 1).round().astype(np.intp)
+
+
+def _accumulate(frames: Sequence[Capture], roi: Roi, step: int, size: int) -> _Sums:
+    """One pass over equal windows: every band of block rows is read once and forgotten."""
+    row0, row1, col0, col1 = roi
+    cells = ((row1 - row0) // step, (col1 - col0) // step)
+    row_edges, col_edges = _edges(cells[0], size), _edges(cells[1], size)
+    shape = (step, len(row_edges) - 1, len(col_edges) - 1, step)
+    total, square, highest = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    row_means, col_means = np.zeros((step, cells[0], step)), np.zeros((step, cells[1], step))
+    for index, (top, bottom) in enumerate(itertools.pairwise(row_edges)):
+        window = (slice(row0 + step * top, row0 + step * bottom), slice(col0, col0 + step * cells[1]))
+        band, peak = _band(frames, window)
+        pairs = band.reshape(bottom - top, step, -1)
+        columns = pairs.sum(axis=0, dtype=np.float64).reshape(step, cells[1], step)
+        col_means += columns / cells[0]
+        difference = pairs[:, :, step:] - pairs[:, :, :-step]
+        squares = np.zeros((step, cells[1], step))
+        squares.reshape(step, -1)[:, : difference.shape[2]] = np.einsum("bij,bij->ij", difference, difference)
+        total[:, index] = np.add.reduceat(columns, col_edges[:-1], axis=1)
+        square[:, index] = _without_gradient(squares, columns, col_edges, bottom - top)
+        peaks = peak.reshape(bottom - top, step, -1).max(axis=0).reshape(step, cells[1], step)
+        highest[:, index] = np.maximum.reduceat(peaks, col_edges[:-1], axis=1)
+        for phase in range(step):
+            row_means[:, top:bottom, phase] = pairs[:, :, phase::step].mean(axis=2).T
+    return _Sums(total, square, highest, row_edges, col_edges, row_means, col_means)
+
+
+def _band(frames: Sequence[Capture], window: tuple[slice, slice]) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+    """Mean of the frames over a few rows, and the highest value of any frame."""
+    peak = frames[0].mosaic[window]
+    band = peak.astype(np.float32)
+    for frame in frames[1:]:
+        part = frame.mosaic[window]
+        band += part
+        peak = np.maximum(peak, part)
+    if len(frames) > 1:
+        band /= np.float32(len(frames))
+    return band, peak
+
+
+def _without_gradient(squares: Float, columns: Float, edges: Int, rows: int) -> Float:
+    """Pixel variance of each block: half the mean square difference minus the mean gradient's part."""
+    starts, ends = edges[:-1], np.minimum(edges[1:], columns.shape[1] - 1)
+    pairs = np.maximum(ends - starts, 1)[None, :, None]
+    slope = (columns[:, ends] - columns[:, starts]) / (pairs * rows)
+    mean_square = np.add.reduceat(squares, starts, axis=1) / (pairs * rows)
+    return np.asarray(np.maximum(mean_square - slope**2, 0) / 2)
+
+
+def _pooled_variance(signal: Float, variance: Float, pixels: Float, floor: float) -> Float:
+    """Smooth pixel variance at every block's signal, from all blocks, outliers left out."""
+    degree = 2 if signal.size > 200 else 1 if signal.size > 12 else 0
+    scale = max(float(np.abs(signal).max()), 1e-9)
+    keep = np.isfinite(variance) & (pixels > 3)
+    if keep.sum() <= degree:
+        return np.full(signal.shape, max(floor, float(np.mean(variance))))
+    model = np.full(signal.shape, float(np.median(variance[keep])))
+    for _ in range(4):
+        weight = np.sqrt(pixels[keep]) / np.maximum(model[keep], floor)
+        coefficients = np.polynomial.polynomial.polyfit(signal[keep] / scale, variance[keep], degree, w=weight)
+        model = np.maximum(np.polynomial.polynomial.polyval(signal / scale, coefficients), floor)
+        spread = 4 * model * np.sqrt(DIFFERENCE_VARIANCE_FACTOR / np.maximum(pixels, 1))
+        fresh = np.isfinite(variance) & (pixels > 3) & (np.abs(variance - model) < spread)
+        if fresh.sum() <= max(degree, 0.3 * keep.sum()) or np.array_equal(fresh, keep):
+            break
+        keep = fresh
+    return np.asarray(model)
+
+
+def _line_variance(means: Float, pixel_variance: float, pixels: int) -> float:
+    """Variance of row (or column) means beyond the pixels' share; 0 where it is not significant."""
+    if means.size < 16:
+        return 0.0
+    second = means[2:] - 2 * means[1:-1] + means[:-2]
+    clean = second[np.abs(second) <= 6 * 1.4826 * np.median(np.abs(second)) + 1e-12]
+    total = float(np.mean(clean**2)) / 6 if clean.size else 0.0
+    own = pixel_variance / pixels
+    # second differences of white noise: relative variance of their mean square is 3.89 / number
+    excess = total - own
+    return excess if excess > 3 * total * np.sqrt(3.89 / means.size) else 0.0
+
+
+def _slope(medians: Float, *, axis: int) -> Float:
+    """Gradient along one axis from row (or column) medians, zero in the middle, ready to broadcast."""
+    place = np.arange(medians.size) - (medians.size - 1) / 2
+    ends = min(4, medians.size)
+    rise = float(np.median(medians[-ends:]) - np.median(medians[:ends])) / max(medians.size - ends, 1)
+    return np.asarray(rise * (place[:, None] if axis == 0 else place[None, :]))
+
+
+def _remeasure(frames: Sequence[Capture], cut: tuple[slice, slice], *, black: float, variance: float) -> tuple[float, int, bool]:
+    """Mean of one suspicious block without its bad pixels: (signal, bad pixels, clipped)."""
+    stack = np.stack([frame.mosaic[cut] for frame in frames]).astype(np.float64)
+    values = stack.mean(axis=0)
+    middle = float(np.median(values))
+    flat = values - sum(_slope(np.median(values, axis=1 - k), axis=k) for k in (0, 1))
+    spread = np.sqrt(variance)
+    good = np.abs(flat - middle) <= OUTLIER_SIGMAS * spread
+    white = frames[0].sensor.white_dn
+    in_tail = middle + OUTLIER_SIGMAS * spread * np.sqrt(len(frames)) >= white
+    clipped = bool(in_tail and (stack.max(axis=0) >= white).any())
+    bad = int((~good).sum())
+    if bad > 0.05 * good.size:
+        return float("nan"), bad, clipped
+    return float(flat[good].mean()) - black, bad, clipped
+
+
+def measure_blocks(
+    frames: Sequence[Capture], *, roi: Roi | None = None, block_px: int = 24, black_dn: dict[str, float] | None = None
+) -> dict[str, Blocks]:
+    """Block means of every colour plane of frames that cover one window.
+
+    Parameters
+    ----------
+    frames : sequence of Capture
+        Frames of equal window and size; they are averaged.
+    roi : (row0, row1, col0, col1), optional
+        Part of the frames, half open, in pixels of the capture.
+    block_px : int
+        Side of a block in pixels of the colour plane.
+    black_dn : dict, optional
+        Black level of each plane in DN; by default the sensor's.
+
+    Returns
+    -------
+    dict of plane name to Blocks
+
+    Raises
+    ------
+    MeasurementError
+        When the region holds no complete 2x2 cell.
+    """
+    first = frames[0]
+    box = check_roi(first, roi)
+    step = 1 if first.sensor.cfa == "MONO" else 2
+    if box[1] - box[0] < step or box[3] - box[2] < step:
+        raise MeasurementError(f"region {box} holds no complete {step}x{step} cell; give a larger one")
+    sums = _accumulate(frames, box, step, block_px)
+    corner = (first.window[0] + box[0], first.window[1] + box[2])
+    out = {}
+    for plane in planes_of(first):
+        phase = plane_position(first.sensor.cfa, plane, corner)
+        black = plane_black_dn(first, plane) if black_dn is None else black_dn[plane]
+        out[plane] = _plane_blocks(frames, plane, sums, phase=phase, box=box, black=black)
+    return out
+
+
+def _plane_blocks(
+    frames: Sequence[Capture], plane: str, sums: _Sums, *, phase: tuple[int, int], box: Roi, black: float
+) -> Blocks:
+    """Signal, noise and place of one plane's blocks from the raw sums."""
+    step = sums.total.shape[0]
+    heights, widths = np.diff(sums.row_edges), np.diff(sums.col_edges)
+    pixels = np.outer(heights, widths).astype(float)
+    signal = sums.total[phase[0], :, :, phase[1]] / pixels - black
+    variance = sums.square[phase[0], :, :, phase[1]]
+    floor = QUANTIZATION_VARIANCE / len(frames)
+    pooled = _pooled_variance(signal.ravel(), variance.ravel(), pixels.ravel(), floor).reshape(signal.shape)
+    limit = pooled * (1 + OUTLIER_SIGMAS * np.sqrt(DIFFERENCE_VARIANCE_FACTOR / np.maximum(pixels, 4)))
+    suspicious = (sums.highest[phase[0], :, :, phase[1]] >= frames[0].sensor.white_dn) | (variance > limit)
+    used, clipped, bad_pixels = np.ones(signal.shape, bool), 0, 0
+    for i, j in np.argwhere(suspicious):
+        rows = slice(box[0] + phase[0] + step * sums.row_edges[i], box[0] + step * sums.row_edges[i + 1], step)
+        cols = slice(box[2] + phase[1] + step * sums.col_edges[j], box[2] + step * sums.col_edges[j + 1], step)
+        signal[i, j], bad, is_clipped = _remeasure(frames, (rows, cols), black=black, variance=float(pooled[i, j]))
+        used[i, j] = bool(np.isfinite(signal[i, j])) and not is_clipped
+        clipped, bad_pixels = clipped + is_clipped, bad_pixels + bad
+    mean_variance = float(np.mean(pooled))
+    row_part = _line_variance(sums.row_means[phase[0], :, phase[1]], mean_variance, int(widths.sum()))
+    col_part = _line_variance(sums.col_means[phase[0], :, phase[1]], mean_variance, int(heights.sum()))
+    block_variance = pooled / pixels + row_part / heights[:, None] + col_part / widths[None, :]
+    row_px = frames[0].window[0] + box[0] + phase[0] + step * (sums.row_edges[:-1] + sums.row_edges[1:] - 1) / 2
+    col_px = frames[0].window[1] + box[2] + phase[1] + step * (sums.col_edges[:-1] + sums.col_edges[1:] - 1) / 2
+    grid_row, grid_col = np.meshgrid(row_px, col_px, indexing="ij")
+    spread_row, spread_col = (step**2 * (n.astype(float) ** 2 - 1) / 12 for n in (heights, widths))
+    return Blocks(
+        plane=plane,
+        row_px=grid_row.ravel(),
+        col_px=grid_col.ravel(),
+        spread_row_px2=np.repeat(spread_row, len(widths)),
+        spread_col_px2=np.tile(spread_col, len(heights)),
+        signal_dn=signal.ravel(),
+        sigma_dn=np.sqrt(block_variance).ravel(),
+        used=used.ravel(),
+        clipped_blocks=clipped,
+        bad_pixels=bad_pixels,
+        row_noise_dn=float(np.sqrt(row_part)),
+        column_noise_dn=float(np.sqrt(col_part)),
+        grid=(len(heights), len(widths)),
+    )
+
+
+def join_blocks(parts: Sequence[Blocks], factors: Sequence[float]) -> Blocks:
+    """Blocks of several windows as one table, each window's signal multiplied by its factor."""
+    if len(parts) == 1 and factors[0] == 1.0:
+        return parts[0]
+    names = ("row_px", "col_px", "spread_row_px2", "spread_col_px2", "used")
+    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+    return Blocks(
+        plane=parts[0].plane,
+        signal_dn=np.concatenate([p.signal_dn * f for p, f in zip(parts, factors, strict=True)]),
+        sigma_dn=np.concatenate([p.sigma_dn * f for p, f in zip(parts, factors, strict=True)]),
+        clipped_blocks=sum(p.clipped_blocks for p in parts),
+        bad_pixels=sum(p.bad_pixels for p in parts),
+        row_noise_dn=max(p.row_noise_dn for p in parts),
+        column_noise_dn=max(p.column_noise_dn for p in parts),
+        grid=parts[0].grid if len(parts) == 1 else None,
+        **joined,
+    )

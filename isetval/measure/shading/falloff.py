@@ -1,0 +1,309 @@
+"""Relative illumination of flat captures: full frames or many small windows of one sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from isetval.core.capture import Capture, Roi, field_mm, plane_view, planes_of
+from isetval.core.errors import InputError, MeasurementError
+from isetval.measure.shading.assemble import build_result
+from isetval.measure.shading.blocks import Blocks, join_blocks, measure_blocks
+from isetval.measure.shading.order import chi2_by_order, choose_radial, tilt_is_needed
+from isetval.measure.shading.radial import HIGHEST_ORDER, Radial
+from isetval.measure.shading.results import RelativeIllumination
+from isetval.measure.shading.surface import GEOMETRIES, Points, Surface, block_bias, evaluate, fit_surface
+
+Float = NDArray[np.float64]
+BLOCK_PX = 24
+DROP_SIGMAS = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Everything the result is built from: data, surface and what was chosen.
+
+    ``common`` and ``single`` are fits of one and the same basis with shared and with own geometry.
+    """
+
+    blocks: Mapping[str, Blocks]
+    points: Mapping[str, Points]
+    keep: Mapping[str, NDArray[np.bool_]]
+    scale_dn: Mapping[str, float]
+    surface: Surface
+    common: Surface
+    single: Mapping[str, Surface]
+    chi2_by_order: Float
+    geometry: str
+    radial: Radial
+    reach_mm: float
+
+
+def relative_illumination(
+    captures: Capture | Sequence[Capture],
+    *,
+    roi: Roi | None = None,
+    dark: Capture | Sequence[Capture] | None = None,
+    radius_mm: ArrayLike | None = None,
+    geometry: str | None = None,
+    order: int | None = None,
+    basis: str | None = None,
+    block_px: int | None = None,
+    black_sigma_dn: float = 0.0,
+    gain_maps: Mapping[str, ArrayLike] | None = None,
+    choices: Mapping[str, Any] | None = None,
+) -> RelativeIllumination:
+    """Relative illumination per colour plane with centre, tilt, colour shading and 2-D map.
+
+    Parameters
+    ----------
+    captures : Capture or sequence of Capture
+        Flat-field captures of one sensor: full frames (same window: averaged) or windows anywhere on it.
+        Windows share one light level; where exposure times differ the signal is divided by time.
+    roi : (row0, row1, col0, col1), optional
+        Part of each capture, half open, in pixels of the capture.
+    dark : Capture or sequence of Capture, optional
+        Dark frames of the same mode; their plane means replace the sensor's black level.
+    radius_mm : array, optional
+        Radii of the curve; by default 61 steps from the centre to the farthest measured pixel.
+    geometry : str, optional
+        ``center+tilt`` (default where the data allow it), ``center``, ``tilt`` or ``none``.
+    order : int, optional
+        Highest power of r^2 (or intervals of the spline); by default chosen by chi2.
+    basis : str, optional
+        ``polynomial`` in r^2 or ``spline`` in r; by default the polynomial unless chi2 asks for finer structure.
+    block_px : int, optional
+        Side of a block in pixels of a plane (default 24, fewer in small windows).
+    black_sigma_dn : float
+        Standard deviation of the black level in DN, added to the curve's sigma.
+    gain_maps : mapping of plane to 2-D gains, optional
+        A file's shading maps spanning the frame; reported against the fall-off, never applied.
+    choices : mapping, optional
+        ``result.choices`` of an earlier call (order, geometry, block_px), to measure in the same way.
+
+    Returns
+    -------
+    RelativeIllumination
+
+    Raises
+    ------
+    MeasurementError
+        When the captures are dark, clipped or too few for any curve.
+    InputError
+        When the captures are of different sensors or an option is unknown.
+
+    Notes
+    -----
+    The curve is an even polynomial in r about the fitted centre, normalised at that centre (never at the
+    maximum), times a tilt.  One capture cannot tell a tilt of the light from one of the camera: see
+    ``separate_rotated``.  Veiling glare and a light of uneven even shape bias the curve and leave no mark in chi2.
+    """
+    told = dict(choices or {})
+    geometry, basis = geometry or told.get("geometry"), basis or told.get("basis")
+    order = order if order is not None else told.get("order")
+    _check_options(geometry, basis, order)
+    blocks, first, size, notes = collect_blocks(captures, roi=roi, dark=dark, block_px=block_px or told.get("block_px"))
+    fitted = fit_blocks(blocks, first, geometry=geometry, basis=basis, order=order)
+    return build_result(
+        fitted,
+        first.sensor,
+        radius_mm=None if radius_mm is None else np.asarray(radius_mm, dtype=float),
+        black_sigma_dn=black_sigma_dn,
+        gain_maps=gain_maps,
+        choices={"basis": fitted.radial.kind, "order": fitted.radial.order, "geometry": fitted.geometry, "block_px": size},
+        notes=notes,
+        settings={"roi": roi, "dark": dark is not None, "black_sigma_dn": black_sigma_dn},
+    )
+
+
+def collect_blocks(
+    captures: Capture | Sequence[Capture],
+    *,
+    roi: Roi | None = None,
+    dark: Capture | Sequence[Capture] | None = None,
+    block_px: int | None = None,
+) -> tuple[dict[str, Blocks], Capture, int, tuple[str, ...]]:
+    """Checked block means of all captures: (blocks by plane, first capture, block size, notes)."""
+    frames = _checked(captures)
+    size = int(block_px or _block_size(frames))
+    black = None if dark is None else _dark_means(_checked(dark))
+    blocks, notes = _all_blocks(frames, roi=roi, size=size, black=black)
+    _check_signal(blocks)
+    return blocks, frames[0], size, notes
+
+
+def _check_options(geometry: str | None, basis: str | None, order: int | None) -> None:
+    if geometry is not None and geometry not in GEOMETRIES:
+        raise InputError(f"geometry is {geometry!r}; it needs one of {', '.join(GEOMETRIES)}")
+    if basis not in (None, "polynomial", "spline"):
+        raise InputError(f"basis is {basis!r}; it needs polynomial or spline")
+    if order is not None and not 0 <= order <= 60:
+        raise InputError(f"order is {order}; it needs 0 to 60")
+
+
+def _checked(captures: Capture | Sequence[Capture]) -> list[Capture]:
+    frames = [captures] if isinstance(captures, Capture) else list(captures)
+    if not frames:
+        raise InputError("no captures were given; relative illumination needs at least one flat")
+    first = frames[0].sensor
+    for frame in frames[1:]:
+        other = frame.sensor
+        if (other.rows, other.cols, other.cfa, other.pixel_um) != (first.rows, first.cols, first.cfa, first.pixel_um):
+            raise InputError(
+                f"captures of different sensors: {first.rows}x{first.cols} {first.cfa} and "
+                f"{other.rows}x{other.cols} {other.cfa}; "
+                "give captures of one sensor (for crops set sensor_shape and window)"
+            )
+    return frames
+
+
+def _block_size(frames: Sequence[Capture]) -> int:
+    step = 1 if frames[0].sensor.cfa == "MONO" else 2
+    shortest = min(min(frame.mosaic.shape) for frame in frames) // step
+    return int(max(2, min(BLOCK_PX, -(-shortest // 2))))
+
+
+def _dark_means(frames: Sequence[Capture]) -> dict[str, float]:
+    return {p: float(np.mean([plane_view(f, p)[0].mean(dtype=np.float64) for f in frames])) for p in planes_of(frames[0])}
+
+
+def _groups(frames: Sequence[Capture]) -> list[list[Capture]]:
+    """Captures of one window and one exposure time together, in order of first appearance."""
+    groups: dict[tuple[Any, ...], list[Capture]] = {}
+    for frame in frames:
+        groups.setdefault((frame.window, frame.mosaic.shape, frame.exposure.time_s), []).append(frame)
+    return list(groups.values())
+
+
+def _all_blocks(
+    frames: Sequence[Capture], *, roi: Roi | None, size: int, black: dict[str, float] | None
+) -> tuple[dict[str, Blocks], tuple[str, ...]]:
+    """Blocks of every plane over all windows, at the first capture's exposure time."""
+    groups = _groups(frames)
+    times = [group[0].exposure.time_s for group in groups]
+    factors, notes = [1.0] * len(groups), []
+    if len(set(times)) > 1:
+        if any(t is None for t in times):
+            raise InputError("some captures have an exposure time and others none; give captures of one exposure or all times")
+        factors = [float(times[0] or 1) / float(t or 1) for t in times]
+        shortest, longest = min(t or 0 for t in times), max(t or 0 for t in times)
+        notes.append(f"exposure times differ ({shortest:g}..{longest:g} s): signals divided by time")
+    parts = [measure_blocks(group, roi=roi, block_px=size, black_dn=black) for group in groups]
+    return {p: join_blocks([part[p] for part in parts], factors) for p in parts[0]}, tuple(notes)
+
+
+def _check_signal(blocks: Mapping[str, Blocks]) -> None:
+    for plane, part in blocks.items():
+        if part.used.sum() < 0.5 * part.used.size:
+            raise MeasurementError(
+                f"plane {plane}: {int((~part.used).sum())} of {part.used.size} blocks are clipped or hold too many bad pixels "
+                f"({part.clipped_blocks} clipped); at most half may be: expose less"
+            )
+        signal, noise = float(np.median(part.signal_dn[part.used])), float(np.median(part.sigma_dn[part.used]))
+        if signal < 10 * noise or signal <= 0:
+            raise MeasurementError(
+                f"plane {plane}: the median signal above black is {signal:.2f} DN with noise {noise:.2f} DN per block; "
+                "a fall-off needs at least 10 times the noise: expose longer, average frames or check the black level"
+            )
+
+
+def _points(part: Blocks, capture: Capture, scale: float) -> Points:
+    x_mm, y_mm = field_mm(capture.sensor, part.row_px, part.col_px)
+    pitch = capture.sensor.pixel_um * 1e-3
+    return Points(
+        x_mm, y_mm, part.spread_col_px2 * pitch**2, part.spread_row_px2 * pitch**2, part.signal_dn / scale, part.sigma_dn / scale
+    )
+
+
+def _highest_order(points: Sequence[Points], radius_mm: float) -> int:
+    """Largest order the radii can carry: two fewer than the distinct radii, at most a quarter of the points."""
+    radius = np.concatenate([np.hypot(p.x_mm, p.y_mm) for p in points])
+    distinct = len(np.unique(np.round(radius / radius_mm * 60)))
+    fewest = min(p.value.size for p in points)
+    return int(np.clip(min(HIGHEST_ORDER, distinct - 2, (fewest - 4) // 3), 1, HIGHEST_ORDER))
+
+
+def _first_geometry(points: Sequence[Points]) -> str:
+    """What the layout can carry: centre and tilt need data on all sides of the middle."""
+    x, y = points[0].x_mm, points[0].y_mm
+    surrounded = min(x.max(), -x.min(), y.max(), -y.min()) > 0.15 * max(np.hypot(x, y).max(), 1e-9)
+    return "center+tilt" if x.size >= 12 and surrounded else "none"
+
+
+def fit_blocks(
+    blocks: Mapping[str, Blocks], capture: Capture, *, geometry: str | None, basis: str | None, order: int | None
+) -> Fitted:
+    """Fit at the highest order, drop outlying blocks, choose geometry and order, fit again."""
+    scale = {p: float(np.median(b.signal_dn[b.used])) for p, b in blocks.items()}
+    points = {p: _points(b, capture, scale[p]) for p, b in blocks.items()}
+    keep = {p: b.used.copy() for p, b in blocks.items()}
+    radius = 1.04 * max(float(np.hypot(p.x_mm, p.y_mm).max()) for p in points.values()) + 0.002 * capture.sensor.pixel_um
+    kept = [points[p].keep(keep[p]) for p in points]
+    richest = Radial("polynomial", _highest_order(kept, radius), radius)
+    surface, name = _settle(kept, radial=Radial("polynomial", min(4, richest.order), radius), geometry=geometry)
+    surface = fit_surface(kept, radial=richest, geometry=name, start=surface.geometry, steps=6)
+    for (plane, part), coefficients in zip(points.items(), surface.coefficients, strict=True):
+        corrected = part.value - block_bias(part, surface.geometry, coefficients, richest)
+        points[plane] = Points(part.x_mm, part.y_mm, part.spread_x_mm2, part.spread_y_mm2, corrected, part.sigma)
+        keep[plane] &= _inliers(points[plane], surface.geometry, coefficients, richest, keep[plane])
+    kept = [points[p].keep(keep[p]) for p in points]
+    surface = fit_surface(kept, radial=richest, geometry=name, start=surface.geometry, steps=3)
+    surface, name = _without_needless_tilt(kept, surface, name, fixed=geometry is not None)
+    by_order = chi2_by_order(kept, surface)
+    splines = basis != "polynomial" and all(b.grid is not None for b in blocks.values()) and richest.order == HIGHEST_ORDER
+    reach = _reach_mm(points.values(), surface, capture.sensor.pixel_um)
+    radial = choose_radial(kept, surface, by_order, splines=splines, reach_mm=reach)
+    if order is not None:
+        radial = Radial(basis or "polynomial", order, reach if basis == "spline" else radius)
+    final = fit_surface(kept, radial=radial, geometry=name, start=surface.geometry)
+    shape = radial if radial.kind == "polynomial" else richest
+    common = final if shape is radial else surface
+    single = {
+        p: fit_surface([part], radial=shape, geometry=name, start=surface.geometry, steps=3)
+        for p, part in zip(points, kept, strict=True)
+    }
+    return Fitted(blocks, points, keep, scale, final, common, single, by_order, name, radial, reach)
+
+
+def _reach_mm(points: Iterable[Points], surface: Surface, pixel_um: float) -> float:
+    """Distance from the fitted centre to the farthest pixel of the measured blocks."""
+    reach = 0.0
+    for part in points:
+        half_x, half_y = (np.sqrt(3 * s) + pixel_um * 5e-4 for s in (part.spread_x_mm2, part.spread_y_mm2))
+        dx, dy = np.abs(part.x_mm - surface.geometry[0]) + half_x, np.abs(part.y_mm - surface.geometry[1]) + half_y
+        reach = max(reach, float(np.hypot(dx, dy).max()))
+    return reach
+
+
+def _without_needless_tilt(kept: Sequence[Points], surface: Surface, name: str, *, fixed: bool) -> tuple[Surface, str]:
+    """The fit without tilt where the tilt is not significant (it costs the centre a factor 3 to 6 in sigma)."""
+    if fixed or name != "center+tilt":
+        return surface, name
+    plain = fit_surface(kept, radial=surface.radial, geometry="center", start=surface.geometry, steps=4)
+    if plain.converged and not tilt_is_needed(surface, plain, sum(p.value.size for p in kept)):
+        return plain, "center"
+    return surface, name
+
+
+def _inliers(points: Points, geometry: Float, coefficients: Float, radial: Radial, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    z = (points.value - evaluate(points, geometry, coefficients, radial)) / points.sigma
+    spread = max(1.0, 1.4826 * float(np.median(np.abs(z[used]))))
+    return np.asarray(np.abs(z) <= DROP_SIGMAS * spread)
+
+
+def _settle(points: Sequence[Points], *, radial: Radial, geometry: str | None) -> tuple[Surface, str]:
+    """First fit; without an instruction, the richest geometry whose centre is determined to a tenth of the field."""
+    wanted = [geometry] if geometry else ["center+tilt", "center", "none"]
+    if geometry is None and _first_geometry(points) == "none":
+        wanted = ["none"]
+    surface = fit_surface(points, radial=radial, geometry="none")
+    for name in wanted:
+        surface = fit_surface(points, radial=radial, geometry=name)
+        spread = np.sqrt(np.maximum(np.diag(surface.covariance)[-4:-2], 0)).max()
+        if name == "none" or geometry or (surface.converged and spread < 0.1 * radial.radius_mm):
+            return surface, name
+    return surface, wanted[-1]

@@ -1,0 +1,162 @@
+"""Two flats, the camera turned by half a turn between them: what belongs to the camera, what to the light."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi
+from isetval.core.errors import InputError
+from isetval.measure.shading.assemble import build_result
+from isetval.measure.shading.blocks import Blocks
+from isetval.measure.shading.falloff import Fitted, collect_blocks, fit_blocks
+from isetval.measure.shading.results import RelativeIllumination
+
+Float = NDArray[np.float64]
+EVEN_PART = (
+    "the even part of the light (same at a point and opposite to it) stays in the camera's curve: "
+    "only a flat with the camera shifted in the light field separates it"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RotatedSeparation:
+    """Camera part and odd light part of two flats taken half a turn apart.
+
+    Parameters
+    ----------
+    camera : RelativeIllumination
+        Of the geometric mean of the two flats: the camera's fall-off (times the even part of the light), with the
+        camera's own centre and tilt.
+    light_tilt_per_mm, light_tilt_sigma_per_mm : (x, y)
+        Linear part of the odd light in the first flat, relative per mm on the sensor, all planes together.
+    light_odd : mapping of plane to array
+        Odd part of the light in the first flat, relative, at the camera maps' blocks, with ``light_odd_sigma``.
+    level_ratio : mapping of plane to float
+        Level of the second flat over the first.
+    chi2_dof : float
+        Of the odd light about an odd polynomial of third degree.
+    """
+
+    camera: RelativeIllumination
+    light_tilt_per_mm: tuple[float, float]
+    light_tilt_sigma_per_mm: tuple[float, float]
+    light_odd: Mapping[str, Float]
+    light_odd_sigma: Mapping[str, Float]
+    level_ratio: Mapping[str, float]
+    chi2_dof: float
+    warnings: tuple[str, ...]
+
+
+def separate_rotated(
+    flat_0: Capture | Sequence[Capture],
+    flat_180: Capture | Sequence[Capture],
+    *,
+    roi: Roi | None = None,
+    dark: Capture | Sequence[Capture] | None = None,
+    choices: Mapping[str, Any] | None = None,
+) -> RotatedSeparation:
+    """Separate the camera's fall-off from the odd part of the light.
+
+    Parameters
+    ----------
+    flat_0, flat_180 : Capture or sequence of Capture
+        Flats before and after turning the camera by 180 degrees about its axis; same windows, any level.
+    roi, dark, choices
+        As in ``relative_illumination``.
+
+    Returns
+    -------
+    RotatedSeparation
+
+    Notes
+    -----
+    On the sensor, the first flat is C(x) L(x), the second C(x) L(-x) times a level.  Hence
+    C sqrt(L(x) L(-x)) = sqrt(F0 F180) and (L(x) - L(-x)) / (L(x) + L(-x)) = (F0 - F180) / (F0 + F180) at equal levels.
+    """
+    size = (choices or {}).get("block_px")
+    first, frame, used_size, notes = collect_blocks(flat_0, roi=roi, dark=dark, block_px=size)
+    second, *_ = collect_blocks(flat_180, roi=roi, dark=dark, block_px=used_size)
+    _check_same_places(first, second)
+    ratio = {p: _level_ratio(first[p], second[p]) for p in first}
+    mean = {p: _geometric_mean(first[p], second[p]) for p in first}
+    told = choices or {}
+    fitted = fit_blocks(mean, frame, geometry=told.get("geometry"), basis=told.get("basis"), order=told.get("order"))
+    camera = build_result(
+        fitted,
+        frame.sensor,
+        choices={
+            "basis": fitted.radial.kind,
+            "order": fitted.radial.order,
+            "geometry": fitted.geometry,
+            "block_px": used_size,
+        },
+        notes=notes,
+        settings={"roi": roi, "rotated": True},
+    )
+    odd = {p: _odd_light(first[p], second[p], ratio[p]) for p in first}
+    tilt, tilt_sigma, chi2_dof = _fit_light(fitted, odd)
+    shapes = {p: camera.planes[p].map.shape for p in first}
+    return RotatedSeparation(
+        camera=camera,
+        light_tilt_per_mm=tilt,
+        light_tilt_sigma_per_mm=tilt_sigma,
+        light_odd={p: odd[p][0].reshape(shapes[p]) for p in odd},
+        light_odd_sigma={p: odd[p][1].reshape(shapes[p]) for p in odd},
+        level_ratio=ratio,
+        chi2_dof=chi2_dof,
+        warnings=(*camera.warnings, EVEN_PART),
+    )
+
+
+def _check_same_places(first: Mapping[str, Blocks], second: Mapping[str, Blocks]) -> None:
+    for plane in first:
+        if plane not in second or not np.array_equal(first[plane].row_px, second[plane].row_px):
+            raise InputError("the two flats cover different windows or planes; give flats of the same windows of one sensor")
+        if not np.array_equal(first[plane].col_px, second[plane].col_px):
+            raise InputError("the two flats cover different windows; give flats of the same windows of one sensor")
+
+
+def _level_ratio(first: Blocks, second: Blocks) -> float:
+    """Level of the second flat over the first: the odd light cancels in the sum over symmetric places."""
+    used = first.used & second.used
+    return float(np.exp(np.median(np.log(second.signal_dn[used] / first.signal_dn[used]))))
+
+
+def _geometric_mean(first: Blocks, second: Blocks) -> Blocks:
+    used = first.used & second.used & (first.signal_dn > 0) & (second.signal_dn > 0)
+    a, b = (np.where(used, part.signal_dn, 1.0) for part in (first, second))
+    mean = np.sqrt(a * b)
+    sigma = mean / 2 * np.hypot(first.sigma_dn / a, second.sigma_dn / b)
+    return replace(first, signal_dn=mean, sigma_dn=sigma, used=used, bad_pixels=first.bad_pixels + second.bad_pixels)
+
+
+def _odd_light(first: Blocks, second: Blocks, ratio: float) -> tuple[Float, Float]:
+    """Odd part of the light and its sigma at every block; NaN where a flat is unusable."""
+    used = first.used & second.used
+    a, b = np.where(used, first.signal_dn, np.nan), np.where(used, second.signal_dn / ratio, np.nan)
+    sigma = 2 / (a + b) ** 2 * np.hypot(b * first.sigma_dn, a * second.sigma_dn / ratio)
+    return np.asarray((a - b) / (a + b)), np.asarray(sigma)
+
+
+def _fit_light(fitted: Fitted, odd: Mapping[str, tuple[Float, Float]]) -> tuple[tuple[float, float], tuple[float, float], float]:
+    """Odd polynomial of third degree plus one level error a plane; (tilt, sigma, chi2/dof)."""
+    columns, data = [], []
+    for k, (plane, (value, sigma)) in enumerate(odd.items()):
+        keep = fitted.keep[plane] & np.isfinite(value)
+        x, y = fitted.points[plane].x_mm[keep], fitted.points[plane].y_mm[keep]
+        level = np.zeros((len(odd), x.size))
+        level[k] = 1.0
+        columns.append(np.stack([x, y, x**3, x**2 * y, x * y**2, y**3, *level]) / sigma[keep])
+        data.append(value[keep] / sigma[keep])
+    matrix, target = np.concatenate(columns, axis=1).T, np.concatenate(data)
+    scale = 1 / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    inverse = np.linalg.pinv((matrix * scale).T @ (matrix * scale), rcond=1e-12, hermitian=True)
+    solution = scale * (inverse @ ((matrix * scale).T @ target))
+    chi2_dof = float(((target - matrix @ solution) ** 2).sum()) / max(target.size - matrix.shape[1], 1)
+    sigma = scale * np.sqrt(np.maximum(np.diag(inverse), 0) * max(1.0, chi2_dof))
+    return (float(solution[0]), float(solution[1])), (float(sigma[0]), float(sigma[1])), chi2_dof
