@@ -17,6 +17,7 @@ LARGEST_SHARE_OF_RANGE = 0.01
 LARGEST_CORRELATION = 0.3
 LARGEST_DRIFT_SIGMAS = 0.5
 DIFFERS_SIGMAS = 3.0
+DIFFERS_SIGMAS_OF_FOUR = 4.0
 NORMAL_MAD = 1.4826
 
 
@@ -27,7 +28,9 @@ class OpticalBlack:
     ``mean_dn`` and ``sigma_dn`` (standard error, from the scatter of row means, so that banding
     counts) are 2x2 from the ActiveArea's first pixel; ``noise_dn`` is the pixel standard deviation
     from the median absolute deviation; ``area`` is (row0, row1, col0, col1) in the stored frame;
-    ``doubts`` says why the margin is not believed (empty = plausible).
+    ``difference_dn`` is the mean over the places minus that of the tag, ``differs`` whether noise
+    does not explain it; ``drift_dn`` is how far the mean moves from one half of the margin's width to
+    the other, which bounds how well it stands for the picture; ``doubts`` says why the margin is not believed (empty = plausible).
     """
 
     mean_dn: Black
@@ -37,18 +40,9 @@ class OpticalBlack:
     area: Area
     difference_dn: float
     difference_sigma_dn: float
+    differs: bool
+    drift_dn: float
     doubts: tuple[str, ...]
-
-    @property
-    def differs(self) -> bool:
-        """Whether it differs from the tag by more than its own standard error explains."""
-        pairs = [
-            (m, s) for means, sigmas in zip(self.mean_dn, self.sigma_dn, strict=True) for m, s in zip(means, sigmas, strict=True)
-        ]
-        spread = max(m for m, _ in pairs) - min(m for m, _ in pairs)
-        return abs(self.difference_dn) > DIFFERS_SIGMAS * self.difference_sigma_dn or spread > 2 * DIFFERS_SIGMAS * max(
-            s for _, s in pairs
-        )
 
 
 def optical_black(frame: NDArray[np.uint16], active: Area, *, black_dn: Black, white_dn: float) -> OpticalBlack | None:
@@ -70,35 +64,48 @@ def optical_black(frame: NDArray[np.uint16], active: Area, *, black_dn: Black, w
     area = _widest_margin(frame.shape, active)
     if area is None:
         return None
-    row0, row1, col0, col1 = area
-    means, errors = np.empty((2, 2)), np.empty((2, 2))
-    parts = []
-    for row in (0, 1):
-        for col in (0, 1):
-            # the place of the pattern, counted from the ActiveArea's first pixel
-            part = frame[row0 + (active[0] + row - row0) % 2 : row1 : 2, col0 + (active[1] + col - col0) % 2 : col1 : 2].astype(
-                float
-            )
-            lines = part.mean(axis=1)
-            means[row, col], errors[row, col] = lines.mean(), lines.std(ddof=1) / np.sqrt(len(lines))
-            parts.append(part)
-    difference_dn = float(means.mean() - np.mean(black_dn))
+    parts = _places(frame, area, active)
     noise_dn = float(np.mean([NORMAL_MAD * np.median(np.abs(p - np.median(p))) for p in parts]))
+    # hot pixels are not the black level: pulled in to six sigma
+    lines = [np.clip(p, np.median(p) - 6 * noise_dn, np.median(p) + 6 * noise_dn).mean(axis=1) for p in parts]
+    means = np.array([line.mean() for line in lines])
+    errors = np.array([_standard_error(line) for line in lines])
+    # the two places of a row share its banding, so rows are averaged before their scatter is taken
+    of_all = float(np.hypot(_standard_error((lines[0] + lines[1]) / 2), _standard_error((lines[2] + lines[3]) / 2)) / 2)
+    excess = means - np.ravel(black_dn)
+    differs = abs(excess.mean()) > DIFFERS_SIGMAS * of_all or bool(np.any(np.abs(excess) > DIFFERS_SIGMAS_OF_FOUR * errors))
+    drift_dn = float(np.mean([_drift(p, noise_dn) for p in parts]))
+    doubts = _doubts(parts, noise_dn, float(excess.mean()), white_dn - float(np.mean(black_dn)))
+    pixels = sum(p.size for p in parts)
     return OpticalBlack(
-        _nest(means),
-        _nest(errors),
-        noise_dn,
-        sum(p.size for p in parts),
-        area,
-        difference_dn,
-        # the planes share the banding of their rows, so their errors are not averaged down
-        float(np.sqrt((errors**2).mean())),
-        tuple(_doubts(parts, noise_dn, difference_dn, white_dn - float(np.mean(black_dn)))),
+        _nest(means), _nest(errors), noise_dn, pixels, area, float(excess.mean()), of_all, bool(differs), drift_dn, tuple(doubts)
     )
 
 
+def _places(frame: NDArray[np.uint16], area: Area, active: Area) -> list[NDArray[np.float64]]:
+    """Pixels of the four places of the pattern, counted from the ActiveArea's first pixel, with equal numbers of rows."""
+    row0, row1, col0, col1 = area
+    row1 -= (row1 - row0) % 2
+    return [
+        frame[row0 + (active[0] + row - row0) % 2 : row1 : 2, col0 + (active[1] + col - col0) % 2 : col1 : 2].astype(float)
+        for row in (0, 1)
+        for col in (0, 1)
+    ]
+
+
+def _drift(part: NDArray[np.float64], noise_dn: float) -> float:
+    """Mean of the right half minus that of the left one in DN, hot pixels pulled in."""
+    held = np.clip(part, np.median(part) - 6 * noise_dn, np.median(part) + 6 * noise_dn)
+    middle = part.shape[1] // 2
+    return float(held[:, middle:].mean() - held[:, :middle].mean())
+
+
+def _standard_error(line: NDArray[np.float64]) -> float:
+    return float(line.std(ddof=1) / np.sqrt(len(line)))
+
+
 def _nest(table: NDArray[np.float64]) -> Black:
-    (a, b), (c, d) = table.tolist()
+    a, b, c, d = table.tolist()
     return ((a, b), (c, d))
 
 
@@ -145,7 +152,7 @@ def _doubts(parts: list[NDArray[np.float64]], noise_dn: float, difference_dn: fl
     correlation = max(_neighbour_correlation(p) for p in clipped)
     if correlation > LARGEST_CORRELATION:
         doubts.append(f"neighbours correlate by {correlation:.2f}, so it holds a picture and not noise")
-    drift = max(abs(float(p[:, : p.shape[1] // 2].mean() - p[:, p.shape[1] // 2 :].mean())) for p in clipped)
+    drift = max(abs(_drift(p, noise_dn)) for p in parts)
     if drift > LARGEST_DRIFT_SIGMAS * noise_dn:
         doubts.append(f"its mean drifts by {drift:.1f} DN from one side to the other")
     return doubts

@@ -154,6 +154,7 @@ def _choose_black(path: object, decoded: _Decoded, choice: BlackChoice) -> tuple
         return decoded.levels.black_dn, "tag", [Remark("margin_not_black", words)]
     optical_dn = float(np.mean(margin.mean_dn))
     apart = f"BlackLevel tag {tag_dn:g} DN, optical black {optical_dn:.2f} +- {margin.difference_sigma_dn:.2f} DN"
+    apart += f" (it drifts by {margin.drift_dn:+.1f} DN across the margin)"
     if choice == "optical" or (choice == "auto" and margin.differs):
         words = f"{apart}: the tag is {_high_or_low(-margin.difference_dn)}; the optical black is used"
         return margin.mean_dn, "optical_black", [Remark("black_tag_differs", words)]
