@@ -1,0 +1,277 @@
+"""The photon-transfer curve: weighted fits of temporal variance against mean, and the choice between them.
+
+    line        V = V0 + K m
+    quadratic   V = V0 + K m + c m^2            brighter-fatter, or a non-linear response
+    cubic       V = V0 + K m + c m^2 + d m^3
+    straight    V = V0 + K L R'(L)^2            response m = R(L) known from exposure times
+    straight2   the same + c L^2                brighter-fatter on top
+
+Weights come from the fitted variance itself (2 V^2 / dof), not from the scatter of each point.  The fits
+are averaged with weights exp(-(chi2 + penalty) / 2), so that a quadratic term enters as far as the
+data demand it; the sigma holds the spread between the fits and so covers that choice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+# chi2 that a model must gain over the line; the third power only where the second plainly fails
+PENALTY = {"line": 0.0, "quadratic": 1.0, "cubic": 8.0, "straight": 0.0, "straight2": 1.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of a photon-transfer curve, one per light level, (levels,) each.
+
+    ``mean_dn`` above the measured black; ``spread_dn2`` is the spatial variance of the light over the region,
+    ``variance_dn2`` the temporal variance; ``dof`` its degrees of freedom for normal noise.
+    """
+
+    mean_dn: Float
+    spread_dn2: Float
+    variance_dn2: Float
+    dof: Float
+    pixels: Float
+
+    def take(self, index: Any) -> Points:
+        """The points with this index or mask."""
+        return Points(*(np.asarray(getattr(self, n))[index] for n in ("mean_dn", "spread_dn2", "variance_dn2", "dof", "pixels")))
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Dark temporal variance at zero signal (value, sigma in DN^2) and the sigma of the black level in DN."""
+
+    variance_dn2: float
+    sigma_dn2: float
+    black_sigma_dn: float
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """m = L (1 + a x + b x^2), x = L / scale: mean signal against linear signal, from exposure times."""
+
+    a: float
+    b: float
+    scale_dn: float
+    covariance: Float
+    scatter: float
+    levels: int
+
+    def linear(self, mean: Float) -> Float:
+        """L for a mean, by Newton's method."""
+        out = np.array(mean, dtype=float)
+        for _ in range(8):
+            x = out / self.scale_dn
+            value = out * (1 + self.a * x + self.b * x**2)
+            out = out - (value - mean) / np.maximum(self.slope(out), 0.05)
+        return out
+
+    def slope(self, linear: Float) -> Float:
+        """dm / dL."""
+        x = linear / self.scale_dn
+        return np.asarray(1 + 2 * self.a * x + 3 * self.b * x**2)
+
+    def shifted(self, index: int, step: float) -> Response:
+        """The response with one coefficient moved."""
+        a, b = self.a + step * (index == 0), self.b + step * (index == 1)
+        return Response(a, b, self.scale_dn, self.covariance, self.scatter, self.levels)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """One weighted fit; ``coefficients`` (V0, K, c, d) as far as the model has them."""
+
+    name: str
+    coefficients: Float
+    covariance: Float
+    chi2: float
+    dof: int
+
+    @property
+    def gain(self) -> float:
+        """K in DN/e-."""
+        return float(self.coefficients[1])
+
+
+@dataclass(frozen=True, eq=False)
+class CurveFit:
+    """Averaged photon-transfer fit; ``weights`` by model name add to one."""
+
+    gain: float
+    gain_sigma: float
+    intercept: float
+    intercept_sigma: float
+    quadratic: float
+    quadratic_sigma: float
+    chi2: float
+    dof: int
+    weights: Mapping[str, float]
+    fits: Mapping[str, Fit] = field(default_factory=dict)
+
+
+def fit_curve(
+    points: Points,
+    anchor: Anchor | None,
+    *,
+    response: Response | None = None,
+    weights: Mapping[str, float] | None = None,
+) -> CurveFit:
+    """Fit all models that the number of levels allows, and average them.
+
+    Parameters
+    ----------
+    points : Points
+        Levels below saturation.
+    anchor : Anchor or None
+        Dark variance; without it the intercept is free.
+    response : Response, optional
+        Enables the straightened models.
+    weights : mapping, optional
+        Model weights of an earlier fit, used as they are (no choice from these data).
+    """
+    fits = {f.name: f for f in _candidates(points, anchor, response)}
+    if weights is None:
+        score = {n: f.chi2 + PENALTY[n] for n, f in fits.items()}
+        best = min(score.values())
+        raw = {n: math.exp(-(s - best) / 2) for n, s in score.items()}
+    else:
+        raw = {n: weights.get(n, 0.0) for n in fits}
+        if not sum(raw.values()) > 0:
+            raw = {n: float(n == "line") for n in fits}
+    total = sum(raw.values())
+    share = {n: w / total for n, w in raw.items()}
+
+    def average(column: int) -> tuple[float, float]:
+        values = {n: float(f.coefficients[column]) if f.coefficients.size > column else 0.0 for n, f in fits.items()}
+        variances = {n: float(f.covariance[column, column]) if f.coefficients.size > column else 0.0 for n, f in fits.items()}
+        mean = sum(share[n] * values[n] for n in fits)
+        spread = sum(share[n] * (variances[n] + (values[n] - mean) ** 2) for n in fits)
+        return mean, math.sqrt(spread)
+
+    (intercept, intercept_sigma), (gain, gain_sigma), (quadratic, quadratic_sigma) = average(0), average(1), average(2)
+    top = fits[max(share, key=lambda n: share[n])]
+    return CurveFit(gain, gain_sigma, intercept, intercept_sigma, quadratic, quadratic_sigma, top.chi2, top.dof, share, fits)
+
+
+def _candidates(points: Points, anchor: Anchor | None, response: Response | None) -> list[Fit]:
+    m, spread = points.mean_dn, points.spread_dn2
+    square, cube = m**2 + spread, m**3 + 3 * m * spread
+    levels = m.size
+    out = [_fit("line", [m], points, anchor)]
+    if levels >= 3 + (anchor is None):
+        out.append(_fit("quadratic", [m, square], points, anchor))
+    if levels >= 6:
+        out.append(_fit("cubic", [m, square, cube], points, anchor))
+    if response is not None:
+        out.append(_straightened("straight", points, anchor, response, 0))
+        if levels >= 4:
+            out.append(_straightened("straight2", points, anchor, response, 1))
+    return out
+
+
+def _straightened(name: str, points: Points, anchor: Anchor | None, response: Response, terms: int) -> Fit:
+    def fit(model: Response) -> Fit:
+        linear = model.linear(points.mean_dn)
+        columns = [linear * model.slope(linear) ** 2, linear**2][: 1 + terms]
+        return _fit(name, columns, points, anchor)
+
+    best = fit(response)
+    jacobian = []
+    for index in range(2):
+        step = 1e-3
+        moved = fit(response.shifted(index, step))
+        jacobian.append((moved.coefficients - best.coefficients) / step)
+    j = np.stack(jacobian, axis=1)
+    covariance = best.covariance + j @ response.covariance @ j.T
+    return Fit(name, best.coefficients, covariance, best.chi2, best.dof)
+
+
+def _fit(name: str, columns: list[Float], points: Points, anchor: Anchor | None) -> Fit:
+    """Weighted least squares, weights from the model's own variance, iterated."""
+    design = np.column_stack([np.ones_like(columns[0]), *columns])
+    target = points.variance_dn2
+    model = np.maximum(target, 0.05)
+    coefficients = np.zeros(design.shape[1])
+    for _ in range(6):
+        slope = max(float(coefficients[1]), 0.0)
+        sigma = np.sqrt(point_variance(points, model, slope))
+        rows, values, errors = design, target, sigma
+        if anchor is not None:
+            error = math.hypot(anchor.sigma_dn2, slope * anchor.black_sigma_dn)
+            rows = np.vstack([design, np.eye(design.shape[1])[0]])
+            values, errors = np.append(target, anchor.variance_dn2), np.append(sigma, max(error, 1e-12))
+        scaled = rows / errors[:, None]
+        scale = np.sqrt((scaled**2).sum(axis=0))
+        normal = (scaled / scale).T @ (scaled / scale)
+        inverse = np.linalg.pinv(normal, hermitian=True)
+        coefficients = inverse @ ((scaled / scale).T @ (values / errors)) / scale
+        model = np.maximum(design @ coefficients, 0.02 * target + 1e-6)
+    residual = (values - rows @ coefficients) / errors
+    covariance = inverse / np.outer(scale, scale)
+    return Fit(name, coefficients, covariance, float(residual @ residual), int(values.size - coefficients.size))
+
+
+def point_variance(points: Points, model: Float, slope: float) -> Float:
+    """Sampling variance of V - K m at each level, (levels,), DN^4.
+
+    2 <V^2> / dof for normal noise with the light's spread over the region; the excess of Poisson noise in V,
+    in m and in their covariance cancels except for K^2 (V - K m) / pixels.
+    """
+    uneven = 1 + slope**2 * points.spread_dn2 / np.maximum(model, 1e-6) ** 2
+    rest = np.clip(model - slope * points.mean_dn, 0.0, model)
+    return np.asarray(2 * model**2 * uneven / points.dof + slope**2 * rest / points.pixels)
+
+
+def fit_response(time_s: Float, mean_dn: Float, sigma_dn: Float) -> Response | None:
+    """Response curve from means at known exposure times under constant light; None where it is straight.
+
+    m / t is fitted by a constant, a constant with x, with x^2, and with both (x = exposure over the longest); the
+    corrected Akaike criterion chooses.  Lamp jitter is taken from the scatter.  Returned only where a term
+    stands out at four sigma.
+    """
+    if np.unique(time_s).size < 5:
+        return None
+    rate = mean_dn / time_s
+    top = float(time_s.max())
+    x = time_s / top
+    weight = 1 / np.hypot(sigma_dn / mean_dn, _scatter_floor(rate, sigma_dn / mean_dn)) / rate
+    best: tuple[float, Float, Float, tuple[int, ...], float] | None = None
+    for powers in ((), (1,), (2,), (1, 2)):
+        design = np.column_stack([np.ones_like(x), *(x**p for p in powers)]) * weight[:, None]
+        normal = np.linalg.pinv(design.T @ design, hermitian=True)
+        theta = normal @ (design.T @ (rate * weight))
+        rest = rate * weight - design @ theta
+        n, k = x.size, len(powers) + 2
+        if n - k - 1 < 1:
+            continue
+        square = max(float(rest @ rest), 1e-30)
+        score = n * math.log(square / n) + 2 * k * n / (n - k - 1)
+        if best is None or score < best[0]:
+            best = (score, theta, normal * max(square / (n - k + 1), 1.0), powers, math.sqrt(square / (n - k + 1)))
+    assert best is not None
+    _, theta, covariance, powers, scatter = best
+    ratio = theta[1:] / theta[0]
+    error = np.sqrt(np.diag(covariance))[1:] / theta[0]
+    if not powers or not np.any(np.abs(ratio) > 4 * error):
+        return None
+    values, spread = np.zeros(2), np.zeros((2, 2))
+    index = [p - 1 for p in powers]
+    values[index] = ratio
+    spread[np.ix_(index, index)] = covariance[1:, 1:] / theta[0] ** 2
+    return Response(float(values[0]), float(values[1]), float(theta[0] * top), spread, scatter, int(x.size))
+
+
+def _scatter_floor(rate: Float, sigma: Float) -> float:
+    """Relative jitter of neighbouring levels beyond their sampling noise (second differences)."""
+    steps = np.diff(rate, 2) / rate[1:-1]
+    noise = (sigma[:-2] ** 2 + 4 * sigma[1:-1] ** 2 + sigma[2:] ** 2) / 6
+    found = float(np.median(steps**2)) / 0.455 / 6
+    return math.sqrt(max(found - float(np.median(noise)), 1e-10))

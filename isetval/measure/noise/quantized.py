@@ -1,0 +1,177 @@
+"""Exact-quantization maximum likelihood of dark noise: black level, temporal noise and DSNU together.
+
+A dark frame of a converter whose step is not small against the noise is not "a normal plus step^2/12".
+Each pixel p has an offset u_p ~ N(b, s_D^2); each frame adds N(0, s^2) and rounds.  Given u the probability
+of code k is Phi((k + 1/2 - u)/s) - Phi((k - 1/2 - u)/s); pixels that show the same multiset of codes are
+counted together, and the product over frames is integrated over u numerically.  Code 0 collects
+everything below, so frames clipped at zero are handled too.  Maximized by scoring with the information
+of the pixels' own scores, which also gives the covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.measure.noise.quantity import Quantity
+
+Float = NDArray[np.float64]
+MAX_PIXELS = 60_000
+MAX_CODES = 64
+FLOOR_SD = 0.02
+
+
+@dataclass(frozen=True)
+class QuantizedNoise:
+    """Result of the fit; DN of the raw scale, black level not subtracted."""
+
+    level_dn: Quantity
+    temporal_sd_dn: Quantity
+    offset_sd_dn: Quantity
+    converged: bool
+    pixels: int
+
+    @property
+    def temporal_variance_dn2(self) -> Quantity:
+        """Temporal variance without quantization."""
+        s = self.temporal_sd_dn
+        return Quantity(s.value**2, 2 * s.value * s.sigma, "DN^2")
+
+
+def quantization_variance(sd_dn: float) -> float:
+    """Excess of the temporal variance of rounded values, phase uniform: 1/12 - sum_k exp(-(2 pi k s)^2) / (2 pi^2 k^2)."""
+    k = np.arange(1, 40)
+    return float(1 / 12 - np.sum(np.exp(-((2 * np.pi * k * sd_dn) ** 2)) / k**2) / (2 * np.pi**2))
+
+
+def unrounded_variance(measured: float) -> float:
+    """Temporal variance before rounding from the measured one, phase uniform over the plane, DN^2."""
+    if measured > 0.6:
+        return measured - 1 / 12
+    low, high = 0.0, max(math.sqrt(max(measured, 0.0)), 1e-6)
+    for _ in range(60):
+        middle = (low + high) / 2
+        if middle**2 + quantization_variance(middle) < measured:
+            low = middle
+        else:
+            high = middle
+    return ((low + high) / 2) ** 2
+
+
+def fit_quantized(views: Sequence[NDArray[Any]]) -> QuantizedNoise:
+    """Maximum-likelihood dark noise of two or more frames of one plane.
+
+    Parameters
+    ----------
+    views : sequence of uint16 arrays (rows, cols)
+        Raw DN.  Pixels that leave the bulk of the histogram by more than eight robust sd are left out.
+    """
+    codes, first = _pixel_codes(views)
+    patterns, numbers = _patterns(codes)
+    start = _start(codes, first)
+    data = (patterns, numbers, first, first == 0)
+    theta, covariance, converged = _maximize(data, start, len(views))
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    s, d = math.exp(theta[1]), math.exp(theta[2])
+    return QuantizedNoise(
+        Quantity(float(theta[0]), float(sigma[0]), "DN"),
+        Quantity(s, float(s * sigma[1]), "DN"),
+        Quantity(d, float(min(d * sigma[2], max(d, s / math.sqrt(2 * len(views))))), "DN"),
+        converged,
+        int(numbers.sum()),
+    )
+
+
+def _pixel_codes(views: Sequence[NDArray[Any]]) -> tuple[NDArray[np.int64], int]:
+    """Codes (pixels, frames) counted from the lowest kept code, and that code."""
+    stack = np.stack([np.asarray(view, dtype=np.int64).ravel() for view in views], axis=1)
+    if stack.shape[0] > MAX_PIXELS:
+        stack = stack[:: -(-stack.shape[0] // MAX_PIXELS)]
+    center = float(np.median(stack[:, 0]))
+    spread = max(float(np.mean(np.abs(stack[:, 0] - center))) * 1.25, 0.5)
+    keep = np.all(np.abs(stack - center) <= max(8 * spread, 2), axis=1)
+    kept = stack[keep]
+    first = int(kept.min())
+    return np.minimum(kept - first, MAX_CODES - 1), first
+
+
+def _patterns(codes: NDArray[np.int64]) -> tuple[Float, Float]:
+    """Distinct code counts (patterns, codes) and how many pixels show each."""
+    width = int(codes.max()) + 1
+    counts = np.zeros((codes.shape[0], width), dtype=np.uint8)
+    for frame in range(codes.shape[1]):
+        np.add.at(counts, (np.arange(codes.shape[0]), codes[:, frame]), 1)
+    packed = np.ascontiguousarray(counts).view(np.dtype((np.void, width))).ravel()
+    _, index, numbers = np.unique(packed, return_index=True, return_counts=True)
+    return counts[index].astype(np.float64), numbers.astype(np.float64)
+
+
+def _start(codes: NDArray[np.int64], first: int) -> Float:
+    mean = codes.mean(axis=1)
+    within = float(np.mean(codes.var(axis=1, ddof=1)))
+    between = float(np.var(mean)) - within / codes.shape[1]
+    return np.array([first + mean.mean(), 0.5 * math.log(max(within - 1 / 12, 0.04)), 0.5 * math.log(max(between, 0.02))])
+
+
+def _log_likelihood(data: tuple[Float, Float, int, bool], theta: Float, frames: int) -> Float:
+    """Log-likelihood of each pattern, (patterns,)."""
+    from scipy.special import ndtr
+
+    patterns, _, first, clipped = data
+    s, d = math.exp(theta[1]), math.exp(theta[2])
+    nodes = int(min(max(25, 10 * d / (0.6 * s / math.sqrt(frames))), 201))
+    z = np.linspace(-5, 5, nodes)
+    weight = np.exp(-0.5 * z**2)
+    weight /= weight.sum()
+    u = theta[0] - first + d * z
+    edges = np.arange(patterns.shape[1] + 1) - 0.5
+    cumulative = ndtr((edges[:, None] - u) / s)
+    survival = ndtr((u - edges[:, None]) / s)
+    upper = edges[:-1, None] > u
+    probability = np.where(upper, survival[:-1] - survival[1:], np.diff(cumulative, axis=0))
+    if clipped:
+        probability[0] = cumulative[1]
+    exponent = patterns @ np.log(np.maximum(probability, 1e-280))
+    top = exponent.max(axis=1)
+    return np.asarray(top + np.log(np.exp(exponent - top[:, None]) @ weight))
+
+
+def _maximize(data: tuple[Float, Float, int, bool], start: Float, frames: int) -> tuple[Float, Float, bool]:
+    """Scoring with halved steps; parameters are level, log temporal sd, log offset sd."""
+    numbers = data[1]
+    theta = start.copy()
+    best = float(numbers @ _log_likelihood(data, theta, frames))
+    step = np.array([1e-4, 1e-4, 1e-3])
+    information = np.eye(3)
+    for _ in range(60):
+        scores = np.stack(
+            [
+                (_log_likelihood(data, theta + h, frames) - _log_likelihood(data, theta - h, frames)) / (2 * h.sum())
+                for h in np.diag(step)
+            ],
+            axis=1,
+        )
+        gradient = numbers @ scores
+        information = (scores * numbers[:, None]).T @ scores + 1e-6 * numbers.sum() * np.eye(3)
+        move = np.clip(np.linalg.solve(information, gradient), -0.5, 0.5)
+        theta, gained, best = _line_search(data, theta, move, best, frames)
+        if gained < 1e-5:
+            return theta, np.linalg.inv(information), True
+    return theta, np.linalg.inv(information), False
+
+
+def _line_search(
+    data: tuple[Float, Float, int, bool], theta: Float, move: Float, best: float, frames: int
+) -> tuple[Float, float, float]:
+    for halving in range(8):
+        trial = theta + move * 0.5**halving
+        trial[1:] = np.maximum(trial[1:], math.log(FLOOR_SD))
+        value = float(data[1] @ _log_likelihood(data, trial, frames))
+        if value > best:
+            return trial, value - best, value
+    return theta, 0.0, best

@@ -1,0 +1,152 @@
+"""What dark frames say to the analysis of lit ones: black level, dark temporal variance, DSNU, defects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
+from isetval.measure.noise.decomposition import FixedPattern, decompose
+from isetval.measure.noise.moments import Moments, frame_moments
+from isetval.measure.noise.quantity import Quantity, root
+from isetval.measure.noise.quantized import QuantizedNoise, fit_quantized, quantization_variance
+from isetval.measure.noise.statistics import row_and_frame_scatter, trimmed_temporal
+
+EXACT_BELOW_DN = 0.75
+UNRELIABLE_BELOW_DN = 0.25
+CLIPPED_SHARE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class DarkLevel:
+    """Dark frames of one plane and one exposure time.
+
+    Parameters
+    ----------
+    black_dn : Quantity
+        Mean raw DN, total sigma with the fixed pattern in ``shared``.
+    read_variance, total_variance : Quantity
+        Temporal variance before rounding, DN^2: of a pixel alone, and with what rows and frames share.
+    dsnu_variance : Quantity
+        Fixed pixel-to-pixel variance, DN^2, signed unless ``exact``.
+    exact : QuantizedNoise or None
+        The exact-quantization fit, where the noise is small against the step or the frames are clipped at zero.
+    flags : tuple of str
+        Reason codes.
+    """
+
+    black_dn: Quantity
+    read_variance: Quantity
+    total_variance: Quantity
+    row_temporal: Quantity
+    frame_scatter: Quantity
+    dsnu_variance: Quantity
+    fixed: FixedPattern
+    moments: Moments
+    exact: QuantizedNoise | None
+    defects: NDArray[np.bool_]
+    clipped_low: float
+    flags: tuple[str, ...]
+
+    @property
+    def rounded_variance(self) -> Quantity:
+        """Read variance plus the rounding of a signal that spans many codes, DN^2: the photon-transfer intercept."""
+        return Quantity(self.read_variance.value + 1 / 12, self.read_variance.sigma, "DN^2")
+
+    @property
+    def read_noise_dn(self) -> Quantity:
+        """Temporal dark noise of a pixel (read and reset noise together), DN, without rounding."""
+        return root(self.read_variance, "DN")
+
+
+def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None) -> DarkLevel:
+    """Black level and noise of one plane from two or more dark frames (one frame: noise is nan)."""
+    views = [plane_view(c, plane, roi)[0] for c in captures]
+    tag = plane_black_dn(captures[0], plane)
+    moments = frame_moments(views, tag)
+    row, frame = row_and_frame_scatter(moments)
+    known_row = max(row.value, 0.0) if len(views) > 1 else 0.0
+    fixed = decompose(moments, 2 if min(moments.shape) >= 8 else 0, relative=False, row_temporal=known_row)
+    clipped = float(np.mean([np.mean(view == 0) for view in views]))
+    defects = _defects(moments, fixed)
+    plain = trimmed_temporal(moments)
+    flags = []
+    exact = None
+    if len(views) > 1 and (plain.value < EXACT_BELOW_DN**2 or clipped > CLIPPED_SHARE):
+        exact = fit_quantized(views)
+    read, total, dsnu = _variances(moments, plain, exact, row, frame, fixed)
+    mean, mean_sigma = _mean_without(moments, defects, plain)
+    black = Quantity(tag + mean, mean_sigma, "DN", math.sqrt(max(dsnu.value, 0.0) / moments.average.size))
+    if exact is not None and clipped > CLIPPED_SHARE:
+        flags.append("black_clipped_at_zero")
+        black = exact.level_dn
+    if read.value < UNRELIABLE_BELOW_DN**2:
+        flags.append("read_noise_below_quantization")
+    if exact is not None and not exact.converged:
+        flags.append("quantized_fit_not_converged")
+    if abs(black.value - tag) > max(0.1, 4 * black.total_sigma):
+        flags.append("black_level_differs_from_tag")
+    if len(views) > 1 and frame.value > max(5 * _null_sigmas(moments, plain.value)[1], 0.01 * max(read.value, 1 / 12)):
+        flags.append("dark_drift")
+    return DarkLevel(black, read, total, row, frame, dsnu, fixed, moments, exact, defects, clipped, tuple(flags))
+
+
+def _defects(moments: Moments, fixed: FixedPattern) -> NDArray[np.bool_]:
+    """Pixels that stand more than 6 robust sd and more than one noise sd out of the mean dark image."""
+    rest = np.asarray(moments.average, dtype=np.float64) - fixed.surface
+    limit = 6 * max(math.sqrt(max(fixed.pixel.value, 0.0)), 1.4826 * float(np.median(np.abs(rest))), 0.02)
+    return np.asarray(np.abs(rest) > limit)
+
+
+def _mean_without(moments: Moments, defects: NDArray[np.bool_], temporal: Quantity) -> tuple[float, float]:
+    good = ~defects
+    count = max(int(good.sum()), 1)
+    mean = float(moments.average[good].mean(dtype=np.float64)) if good.any() else moments.mean
+    pixel = (temporal.value if moments.frames > 1 else float(np.var(moments.average))) / count / moments.frames
+    lines = float(np.var(moments.row_means.mean(axis=1), ddof=1)) / moments.frames if moments.frames > 1 else 0.0
+    return mean, math.sqrt(max(pixel, lines))
+
+
+def _variances(
+    moments: Moments, plain: Quantity, exact: QuantizedNoise | None, row: Quantity, frame: Quantity, fixed: FixedPattern
+) -> tuple[Quantity, Quantity, Quantity]:
+    """Read, total temporal and DSNU variances before rounding."""
+    if moments.frames < 2:
+        nothing = Quantity(float("nan"), float("nan"), "DN^2")
+        return nothing, nothing, fixed.pixel
+    row_null, frame_null = _null_sigmas(moments, plain.value)
+    row_on, frame_on = row.value > 3 * row_null, frame.value > 3 * frame_null
+    lines = row.value * row_on + frame.value * frame_on
+    line_sigma = math.hypot(row.sigma * row_on, frame.sigma * frame_on)
+    if exact is None:
+        value = plain.value - quantization_variance(math.sqrt(max(plain.value - 1 / 12, 0.0)))
+        total = Quantity(value + lines, math.hypot(plain.sigma, line_sigma), "DN^2")
+        return Quantity(value, plain.sigma, "DN^2"), total, fixed.pixel
+    fitted = exact.temporal_variance_dn2
+    read = Quantity(fitted.value - lines, math.hypot(fitted.sigma, line_sigma), "DN^2")
+    offset = exact.offset_sd_dn
+    fixed_lines = sum(max(part.value, 0.0) for part in (fixed.row, fixed.column) if part.value > 3 * part.total_sigma)
+    fixed_lines += _smooth_variance(fixed, offset.value**2 + fitted.value / moments.frames)
+    own = Quantity(offset.value**2 - fixed_lines, 2 * offset.value * offset.sigma, "DN^2")
+    return read, fitted, own
+
+
+def _null_sigmas(moments: Moments, variance: float) -> tuple[float, float]:
+    """Sigma of the row and frame parts if there were none, DN^2."""
+    rows, cols = moments.shape
+    frames = moments.frames
+    return (
+        variance / cols * math.sqrt(2 / ((frames - 1) * max(rows - 1, 1))),
+        variance / cols / rows * math.sqrt(2 / (frames - 1)),
+    )
+
+
+def _smooth_variance(fixed: FixedPattern, noise: float) -> float:
+    """Variance of the fitted surface where it stands out of what noise of variance ``noise`` gives it."""
+    found = float(np.var(fixed.surface))
+    by_chance = 5 * noise / fixed.surface.size
+    return found - by_chance if found > 5 * by_chance else 0.0

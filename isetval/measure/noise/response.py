@@ -1,0 +1,36 @@
+"""Photo-response non-uniformity from the fixed patterns of several levels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from isetval.measure.noise.levels import LevelSeries
+from isetval.measure.noise.quantity import Quantity, root
+from isetval.measure.noise.reference import DarkLevel
+
+
+def prnu_percent(series: LevelSeries, reference: DarkLevel | None) -> Quantity:
+    """Pixel-to-pixel photo-response non-uniformity, %.
+
+    Notes
+    -----
+    The signed pixel variances F of the mean images follow F = D + p^2 m^2 (DSNU D from the dark, or zero).  They are
+    averaged with weights m^4 / var; the part of their error that is the specimen's own pattern is common to all.
+    """
+    used = [level for level in series.levels if level.used and level.fixed is not None]
+    offset = reference.dsnu_variance if reference is not None and reference.moments.frames > 1 else Quantity(0.0, 0.0, "DN^2")
+    if not used:
+        return Quantity(math.nan, math.nan, "%")
+    square = np.array([level.mean_dn**2 for level in used])
+    pattern = [level.fixed.pixel for level in used if level.fixed is not None]
+    values = np.array([q.value for q in pattern]) - offset.value
+    own = np.array([q.sigma for q in pattern])
+    weight = square**2 / np.maximum(own, 1e-12) ** 2
+    weight /= weight.sum()
+    value = float(weight @ (values / square))
+    common = float(weight @ (np.array([q.shared for q in pattern]) / square))
+    from_dark = offset.total_sigma * float(weight @ (1 / square))
+    sigma = math.sqrt(float(weight**2 @ (own / square) ** 2) + common**2 + from_dark**2)
+    return root(Quantity(value, sigma, "1"), "1").scaled(100.0, "%")
