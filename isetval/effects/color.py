@@ -1,0 +1,267 @@
+"""From irradiance to the electrons of colour channels, and on to the mosaic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context
+from isetval.core.effect import Effect, parameter, table_file
+from isetval.core.errors import InputError
+from isetval.core.signal import Layer, Signal
+from isetval.core.spectrum import Spectrum, read_spectra
+
+Float = NDArray[np.float64]
+PLANCK_J_S = 6.62607015e-34
+LIGHT_M_PER_S = 299792458.0
+LEAK_ABOVE_NM = 700.0
+CHANNELS = ("R", "G", "B")
+
+
+@dataclass(frozen=True, eq=False)
+class LeakySignal(Signal):
+    """Irradiance that meets a quantum efficiency raised by ``leak`` above 700 nm."""
+
+    leak: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CfaAngleShift(Effect):
+    """Colour-filter curves that move with the angle of incidence: a colour residual growing with r.
+
+    Confounded with an error of the light's spectrum, which does not depend on the place in the field.
+    Applied as QE(lambda - Delta) = a spectrum moved by -Delta under the unmoved QE, photon numbers kept;
+    linear between bands.  Stands before quantum_efficiency.
+    """
+
+    name = "cfa_angle_shift"
+    stage = "pixel"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 30.0
+    equation = "QE(lambda - Delta(r)), Delta = delta r^2, r = 1 at the corner"
+    reference = "Macleod, Thin-Film Optical Filters, 4th ed., sec. 8.2 (shift with angle, second order)"
+    must_not_change = ("dark", "edge")
+
+    delta_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=5.0, doc="shift of the QE at the corner")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Move the spectrum of every layer by the shift of each pixel."""
+        if not self.delta_nm or signal.wavelength_nm is None or signal.wavelength_nm.size < 2:
+            return signal
+        shift = self.delta_nm * context.field_radius() ** 2
+        layers = tuple(Layer(_moved(layer.amplitude, signal.wavelength_nm, shift), layer.structure) for layer in signal.layers)
+        return _with_layers(signal, layers)
+
+
+def _with_layers(signal: Signal, layers: tuple[Layer, ...]) -> Signal:
+    from dataclasses import replace
+
+    return replace(signal, layers=layers)
+
+
+def _moved(amplitude: Float, grid: Float, shift_nm: Float) -> Float:
+    """Spectra whose photon numbers at lambda are those of ``amplitude`` at lambda + shift; (bands, rows, cols)."""
+    photons = np.asarray(amplitude) * grid[:, None, None]
+    node, step = np.floor(shift_nm), 1.0
+    out = np.zeros(np.broadcast_shapes(photons.shape, (1, *shift_nm.shape)))
+    for place in np.unique(np.concatenate([node.ravel(), node.ravel() + 1])):
+        weight = np.maximum(0.0, 1 - np.abs(shift_nm - place) / step)
+        out += weight[None] * _resampled(photons, grid, place)
+    return np.asarray(out / grid[:, None, None])
+
+
+def _resampled(photons: Float, grid: Float, shift: float) -> Float:
+    """Linear interpolation along the bands at lambda + shift, ends held."""
+    wanted = np.clip(grid + shift, grid[0], grid[-1])
+    right = np.clip(np.searchsorted(grid, wanted), 1, grid.size - 1)
+    t = ((wanted - grid[right - 1]) / (grid[right] - grid[right - 1]))[:, None, None]
+    return np.asarray((1 - t) * photons[right - 1] + t * photons[right])
+
+
+@dataclass(frozen=True, kw_only=True)
+class IrLeak(Effect):
+    """Response beyond the infrared-cut filter, equal in all channels: seen under light A only.
+
+    Stands before quantum_efficiency, which adds it.
+    """
+
+    name = "ir_leak"
+    stage = "pixel"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 35.0
+    equation = "QE + eps for lambda > 700 nm"
+    reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., sec. 5.3 (infrared-cut filter)"
+    must_not_change = ("dark", "edge")
+
+    eps: float = parameter(0.0, unit="e-/photon", low=0.0, high=1.0, tau=0.02, doc="quantum efficiency added above 700 nm")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Mark the light for quantum_efficiency."""
+        if not self.eps:
+            return signal
+        parts: dict[str, Any] = {field.name: getattr(signal, field.name) for field in fields(Signal)}
+        return LeakySignal(**parts, leak=self.eps + getattr(signal, "leak", 0.0))
+
+
+@lru_cache(maxsize=32)
+def _table(path: str, changed_ns: int) -> tuple[Spectrum, ...]:
+    spectra = read_spectra(path)
+    if len(spectra) == 1:
+        return tuple(spectra.values())
+    if set(spectra) != set(CHANNELS):
+        raise InputError(f"{path}: columns are {', '.join(spectra)}; quantum efficiency needs R, G, B (or one column for MONO)")
+    return tuple(spectra[channel] for channel in CHANNELS)
+
+
+def _trapezoid(grid: Float) -> Float:
+    """Integration weights (bands,) in nm; one band alone counts 1 nm."""
+    if grid.size == 1:
+        return np.ones(1)
+    gaps = np.diff(grid)
+    return np.asarray(np.concatenate([gaps, [0]]) / 2 + np.concatenate([[0], gaps]) / 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuantumEfficiency(Effect):
+    """Light becomes electrons: pixel area, exposure time, photon energy and QE of each channel.
+
+    Samples the signal: blur must stand before it.  ``file`` is a CSV table wavelength_nm, R, G, B (one
+    column for a monochrome sensor), held at its ends outside the table.  Touches every level.
+    """
+
+    name = "quantum_efficiency"
+    stage = "pixel"
+    acts_on = "irradiance"
+    gives = "electron"
+    order = 40.0
+    candidate = False
+    equation = "mu_c = scale sum_lambda E QE_c (lambda / h c) A t dlambda"
+    reference = "EMVA Standard 1288 Release 4.0, eq. 1-3; trapezoid rule over the bands"
+    must_not_change = ("dark",)
+
+    file: str = table_file("CSV of quantum efficiency: wavelength_nm, R, G, B (or one column for MONO), electrons per photon")
+    scale: float = parameter(1.0, unit="1", low=0.0, high=10.0, doc="factor on all curves")
+
+    def curves(self, context: Context, wavelength_nm: Float) -> Float:
+        """Quantum efficiency (channels, bands).
+
+        Raises
+        ------
+        InputError
+            If no file is named, or its columns do not fit the sensor's colours.
+        """
+        if not self.file:
+            raise InputError('effect quantum_efficiency: file is empty; name a CSV table, for example file = "qe.csv"')
+        path = Path(self.base) / self.file
+        stamp = path.stat().st_mtime_ns if path.is_file() else 0
+        table = _table(str(path), stamp)
+        wanted = 1 if context.sensor.cfa == "MONO" else 3
+        if len(table) != wanted:
+            raise InputError(f"{path}: {len(table)} quantum efficiency columns; a {context.sensor.cfa} sensor needs {wanted}")
+        return self.scale * np.array([spectrum.at(wavelength_nm) for spectrum in table])
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Electrons (channels, rows, cols)."""
+        grid = signal.wavelength_nm
+        if grid is None:
+            raise InputError("effect quantum_efficiency: the light carries no wavelengths; give the signal wavelength_nm")
+        curves = self.curves(context, grid) + getattr(signal, "leak", 0.0) * (grid > LEAK_ABOVE_NM)
+        area_m2 = (context.sensor.pixel_um * 1e-6) ** 2
+        photons = grid * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S) * area_m2 * context.time_s() * _trapezoid(grid)
+        values = signal.values
+        if values.shape[0] == 1 and grid.size > 1:
+            values = np.broadcast_to(values, (grid.size, *values.shape[1:]))
+        return signal.with_values(np.tensordot(curves * photons, values, axes=1), "electron")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectralCrosstalk(Effect):
+    """Electrons of one colour channel found in another: the same mixing matrix under all lights.
+
+    ``eps_rg`` is the part of the green channel's signal that is added to red, and so on; the diagonal
+    stays 1.  Confounded with channel gain (.86) and the light's spectrum (.72); narrow-band lights help.
+    Acts on colour channels behind quantum_efficiency and microlens, before cfa.
+    """
+
+    name = "spectral_crosstalk"
+    stage = "pixel"
+    acts_on = "electron"
+    gives = "electron"
+    order = 50.0
+    equation = "mu' = M mu, M = I + (eps_ij off the diagonal)"
+    reference = "Lyu et al., Accurate smartphone camera simulation using 3D scenes, sec. sensor QE (matrix M)"
+    must_not_change = ("dark",)
+
+    eps_rg: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="green signal added to red")
+    eps_rb: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="blue signal added to red")
+    eps_gr: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="red signal added to green")
+    eps_gb: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="blue signal added to green")
+    eps_br: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="red signal added to blue")
+    eps_bg: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="green signal added to blue")
+
+    def matrix(self) -> Float:
+        """The mixing matrix M (3, 3)."""
+        return np.array([[1.0, self.eps_rg, self.eps_rb], [self.eps_gr, 1.0, self.eps_gb], [self.eps_br, self.eps_bg, 1.0]])
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Mix the colour channels (nothing to mix for MONO)."""
+        if context.sensor.cfa == "MONO" or not any(self.values().values()):
+            return signal
+        return signal.with_values(np.tensordot(self.matrix(), signal.values, axes=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelGain(Effect):
+    """Efficiency of red and blue relative to green: a factor per channel, the same under all lights.
+
+    A factor on the electrons, in front of shot noise (a gain in DN is conversion_gain).
+    """
+
+    name = "channel_gain"
+    stage = "pixel"
+    acts_on = "electron"
+    gives = "electron"
+    order = 55.0
+    equation = "mu_R x (1 + d_R), mu_B x (1 + d_B)"
+    reference = "Lyu et al., Accurate smartphone camera simulation using 3D scenes, sec. sensor QE (diagonal of M)"
+    must_not_change = ("dark", "edge")
+
+    d_red: float = parameter(0.0, unit="1", low=-0.9, high=5.0, tau=0.05, doc="relative change of red")
+    d_blue: float = parameter(0.0, unit="1", low=-0.9, high=5.0, tau=0.05, doc="relative change of blue")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale red and blue (nothing to do for MONO)."""
+        if context.sensor.cfa == "MONO" or not (self.d_red or self.d_blue):
+            return signal
+        return signal.scaled(np.array([1 + self.d_red, 1.0, 1 + self.d_blue])[:, None, None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorFilterArray(Effect):
+    """Each pixel keeps the electrons of its own colour: three channels become one mosaic."""
+
+    name = "cfa"
+    stage = "pixel"
+    acts_on = "electron"
+    gives = "electron"
+    order = 90.0
+    candidate = False
+    equation = "mu(row, col) = mu_c(row, col), c the colour of the pixel"
+    reference = "Bayer, US patent 3971065 (1976)"
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """The mosaic (1, rows, cols)."""
+        values = signal.values
+        rows, cols = context.window[2:]
+        if context.sensor.cfa == "MONO":
+            return signal.with_values(np.broadcast_to(values, (1, rows, cols)).copy())
+        channel = context.channel_index()[None]
+        full = np.broadcast_to(values, (3, rows, cols))
+        return signal.with_values(np.where(channel == 0, full[0], np.where(channel == 1, full[1], full[2])))

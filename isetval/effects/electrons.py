@@ -1,0 +1,295 @@
+"""Charge in the pixels up to the full well: fixed gain pattern, dark charge, shot noise, charge repulsion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context, poisson
+from isetval.core.effect import Effect, parameter
+from isetval.core.signal import Signal
+
+Array = NDArray[Any]
+
+
+def own(pattern: Array, values: Array) -> Array:
+    """A pattern (rows, cols) in the precision of the values, as (1, rows, cols), free to be overwritten."""
+    return pattern.astype(values.dtype, copy=False)[None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prnu(Effect):
+    """Photo-response non-uniformity: a fixed gain per pixel.  Fixed variance grows with the square of the level."""
+
+    name = "prnu"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    random = "sensor"
+    order = 10.0
+    equation = "mu x (1 + sigma_P z), z fixed unit normals"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 4 (PRNU)"
+    must_not_change = ("dark",)
+
+    sigma_percent: float = parameter(0.0, unit="%", low=0.0, high=50.0, tau=0.3, doc="standard deviation sigma_P of the gain")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale each pixel."""
+        if not self.sigma_percent:
+            return signal
+        values = signal.values
+        gain = own(context.fixed_normal(), values)
+        gain *= self.sigma_percent / 100
+        gain += 1
+        gain *= values
+        return signal.with_values(gain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PdafPixels(Effect):
+    """Phase-detection pixels: a sparse, periodic pattern of half-covered pixels."""
+
+    name = "pdaf_pixels"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 12.0
+    equation = "mu x (1 - loss) where row mod period = col mod period = period / 2"
+    reference = (
+        "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006); regular grid is a convention"
+    )
+    must_not_change = ("dark", "edge")
+
+    loss: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.1, doc="loss of a phase-detection pixel")
+    period_px: float = parameter(16.0, unit="px", low=2.0, high=512.0, shape=True, doc="period of the grid (whole pixels)")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale the pixels of the grid."""
+        if not self.loss:
+            return signal
+        period = round(self.period_px)
+        row0, col0 = context.window[:2]
+        values = np.array(signal.values)
+        values[..., (period // 2 - row0) % period :: period, (period // 2 - col0) % period :: period] *= 1 - self.loss
+        return signal.with_values(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag(Effect):
+    """Charge left from the previous frame: a dark straight after a flat is lifted."""
+
+    name = "lag"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 14.0
+    equation = "mu + lambda x (electrons of the previous frame)"
+    reference = "Janesick, Photon Transfer (SPIE 2007), sec. 11 (residual image); first-order term"
+
+    fraction: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.005, doc="fraction lambda left behind")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the rest of ``context.previous`` (electrons of the frame before; nothing where it is None)."""
+        if not self.fraction or context.previous is None:
+            return signal
+        values = signal.values
+        return signal.with_values(values + self.fraction * np.asarray(context.previous).astype(values.dtype))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkCurrent(Effect):
+    """Thermal charge, equal over the sensor: mean and variance of darks grow with time."""
+
+    name = "dark_current"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 20.0
+    equation = "mu + d t"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 7 (dark current)"
+    must_not_change = ("edge",)
+
+    rate_e_per_s: float = parameter(0.0, unit="e-/s", low=0.0, high=1e6, tau=1.0, doc="dark current d per pixel")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the mean dark charge; shot_noise makes it noisy."""
+        added = self.rate_e_per_s * context.time_s()
+        return signal.with_values(signal.values + added) if added else signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemperatureDrift(Effect):
+    """Dark current that grows from frame to frame as the camera warms up.
+
+    Hidden by averages over frames: the mean of each frame shows it.
+    """
+
+    name = "temperature_drift"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 21.0
+    equation = "mu + k n t, n the number of the frame within its shot"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 7.3 (temperature dependence); first-order term"
+    must_not_change = ("edge",)
+
+    rate_e_per_s_per_frame: float = parameter(0.0, unit="e-/s/frame", low=0.0, high=1e5, tau=0.5, doc="growth k per frame")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add this frame's extra dark charge."""
+        added = self.rate_e_per_s_per_frame * context.frame * context.time_s()
+        return signal.with_values(signal.values + added) if added else signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmpGlow(Effect):
+    """Light of the read-out circuit: dark charge that decays from a point at the sensor's rim, prop. to time."""
+
+    name = "amp_glow"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 22.0
+    equation = "mu + g t exp(-d / w), d from (x0, y0) in half diagonals"
+    reference = (
+        "Janesick, Scientific Charge-Coupled Devices (SPIE 2001), ch. 7 (amplifier luminescence); exponential is a convention"
+    )
+    must_not_change = ("edge",)
+
+    rate_e_per_s: float = parameter(0.0, unit="e-/s", low=0.0, high=1e6, tau=3.0, doc="glow g at its brightest point")
+    x0: float = parameter(0.8, unit="half diagonal", low=-2.0, high=2.0, shape=True, doc="column place of the source")
+    y0: float = parameter(0.6, unit="half diagonal", low=-2.0, high=2.0, shape=True, doc="row place of the source")
+    width: float = parameter(0.3, unit="half diagonal", low=0.01, high=10.0, shape=True, doc="decay length w")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the mean glow."""
+        added = self.rate_e_per_s * context.time_s()
+        if not added:
+            return signal
+        x, y = context.xy_mm()
+        half = context.sensor.half_diagonal_mm
+        glow = added * np.exp(-np.hypot(x / half - self.x0, y / half - self.y0) / self.width)
+        values = signal.values
+        return signal.with_values(own(glow, values) + values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HotPixels(Effect):
+    """A fraction of pixels with high dark current, exponentially distributed; the same pixels in each frame."""
+
+    name = "hot_pixels"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    random = "sensor"
+    order = 24.0
+    equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
+    reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"
+    must_not_change = ("edge",)
+
+    fraction: float = parameter(0.0, unit="1", low=0.0, high=0.5, tau=1e-3, doc="fraction of hot pixels")
+    rate_e_per_s: float = parameter(100.0, unit="e-/s", low=0.0, high=1e6, shape=True, doc="mean rate of a hot pixel")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the mean charge of the hot pixels."""
+        charge = self.rate_e_per_s * context.time_s()
+        if not (self.fraction and charge):
+            return signal
+        chosen, chance = rare_pixels(context, self.fraction)
+        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        values[0][chosen] -= (charge * np.log(chance)).astype(values.dtype)
+        return signal.with_values(values)
+
+
+def rare_pixels(context: Context, fraction: float) -> tuple[NDArray[np.bool_], Array]:
+    """A fixed random ``fraction`` of pixels (rows, cols), and for these a uniform number in (0, 1)."""
+    from scipy.special import ndtr, ndtri
+
+    normal = context.fixed_normal()
+    chosen = normal > -ndtri(fraction)
+    return chosen, np.clip(ndtr(-normal[chosen].astype(np.float64)) / fraction, 1e-12, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShotNoise(Effect):
+    """Poisson statistics of all electrons: photo charge and dark charge in front of it."""
+
+    name = "shot_noise"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    random = "frame"
+    order = 30.0
+    candidate = False
+    equation = "N ~ Poisson(mu)"
+    reference = "EMVA Standard 1288 Release 4.0, eq. 9"
+    must_not_change = ("illumination",)
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Draw the electrons of this frame; the mean in the expectation."""
+        if context.mode == "expected":
+            return signal
+        mean = signal.values
+        return signal.with_values(poisson(mean, context).astype(mean.dtype, copy=False))
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrighterFatter(Effect):
+    """Charge that repels charge: electrons move from fuller to emptier neighbours, none are lost.
+
+    Variance falls below Poisson and neighbours are positively correlated, both in proportion to the
+    square of the level; each of the four neighbours takes a quarter.  Acts on the mosaic, behind
+    shot_noise and before full_well; edges at two levels show it too.
+    """
+
+    name = "brighter_fatter"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 35.0
+    halo_px = 1
+    equation = "Q + (A/16) sum_nb (Q_nb^2 - Q^2): Var = mu (1 - A mu), Cov(nearest) = + A mu^2 / 4"
+    reference = "Antilogus et al., JINST 9 (2014) C03048; Astier et al., A&A 629 (2019) A36"
+    must_not_change = ("dark",)
+
+    a_per_e: float = parameter(0.0, unit="1/e-", low=0.0, high=2e-4, tau=2e-6, doc="relative loss A of variance per electron")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Move charge between neighbours (none across the border of the window)."""
+        if not self.a_per_e:
+            return signal
+        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        square = values * values
+        square *= self.a_per_e / 16
+        for axis in (1, 2):
+            flow = np.diff(square, axis=axis)
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -1), slice(1, None)
+            values[tuple(low)] += flow
+            values[tuple(high)] -= flow
+        return signal.with_values(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullWell(Effect):
+    """The pixel's capacity: electrons above it are lost.  Unobservable without flats above saturation."""
+
+    name = "full_well"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 40.0
+    equation = "min(N, FW)"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 2.4 (saturation)"
+    must_not_change = ("dark",)
+
+    well_e: float = parameter(1e9, unit="e-", low=1.0, high=1e9, tau=500.0, doc="full-well capacity FW")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Clip at the capacity."""
+        values = signal.values
+        return signal.with_values(np.minimum(values, self.well_e)) if math.isfinite(self.well_e) else signal

@@ -1,0 +1,256 @@
+"""Light over the field: natural and mechanical fall-off, decentring, shifts, flare.  All act on irradiance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context
+from isetval.core.effect import Effect, parameter
+from isetval.core.signal import Signal
+from isetval.effects.pupil import BLUE_NM, GREEN_NM, RED_NM, REFERENCE_NM, field_point
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cos4(Effect):
+    """Natural fall-off of a lens with a pupil of fixed size: cos^4, with a free exponent.
+
+    Even, smooth and free of colour: the microlens has the same shape (rho .998); a lens with another
+    exit pupil separates them.  delta = -4 is no fall-off at all.  Leaves edges and darks alone.
+    """
+
+    name = "cos4"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 30.0
+    equation = "E x cos^(4 + delta)(theta), tan theta = distance from the middle / focal length"
+    reference = "Kingslake, Optics in Photography (1992), ch. 7; Born & Wolf, 7th ed., sec. 4.8.1"
+    must_not_change = ("dark",)
+
+    focal_mm: float = parameter(
+        4.38, unit="mm", low=0.1, high=2000.0, shape=True, doc="focal length (distance of the exit pupil)"
+    )
+    delta: float = parameter(0.0, unit="1", low=-4.0, high=16.0, tau=2.0, null=-4.0, doc="exponent above 4")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale by the fall-off of each pixel."""
+        if self.delta == -4.0:
+            return signal
+        x, y = context.xy_mm()
+        tangent2 = (x * x + y * y) / self.focal_mm**2
+        return signal.scaled((1 + tangent2)[None] ** (-(4 + self.delta) / 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vignetting(Effect):
+    """Mechanical vignetting: loss with a sharp onset beyond a field radius.
+
+    Confounded with a radial light field and the microlens; a smaller stop removes it.  The change of
+    the corner's blur by the cut pupil is not modelled.
+    """
+
+    name = "vignetting"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 32.0
+    equation = "E x (1 - v max(0, (r - r0)/(1 - r0))^2), r = 1 at the corner"
+    reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., sec. 8.1 (vignetting); quadratic onset is a convention"
+    must_not_change = ("dark",)
+
+    v: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.2, doc="loss at the corner")
+    r0: float = parameter(0.6, unit="half diagonal", low=0.0, high=0.99, shape=True, doc="onset r0")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale by the loss of each pixel."""
+        if not self.v:
+            return signal
+        reach = np.maximum(0.0, (context.field_radius() - self.r0) / (1 - self.r0))
+        return signal.scaled(1 - self.v * reach[None] ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decenter(Effect):
+    """A lens or pupil that sits beside the sensor's middle: fall-off with an odd part, equal in all channels.
+
+    A gradient of the light looks alike; rotating the camera by 180 degrees separates them (.73 to .19).
+    """
+
+    name = "decenter"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 34.0
+    equation = "E x (1 + a x + b y), x and y in half diagonals"
+    reference = "first-order term of a shifted fall-off; Kingslake & Johnson, Lens Design Fundamentals, 2nd ed."
+    must_not_change = ("dark",)
+
+    a: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.03, doc="rise along x (columns)")
+    b: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.03, doc="rise along y (rows)")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale by the gradient of each pixel."""
+        if not (self.a or self.b):
+            return signal
+        x, y = context.xy_mm()
+        half = context.sensor.half_diagonal_mm
+        return signal.scaled((1 + self.a * x / half + self.b * y / half)[None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class EtalonRipple(Effect):
+    """Interference in the cover glass: radial fringes on flats, washed out by broad-band light."""
+
+    name = "etalon_ripple"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 36.0
+    equation = "E x (1 + a cos(2 pi (550 nm/lambda) (m - n r^2))), m order in the middle, n fringes to the corner"
+    reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 7.6 (plane-parallel plate, low reflectance)"
+    must_not_change = ("dark", "edge")
+
+    amplitude: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.005, doc="amplitude a of the ripple")
+    fringes: float = parameter(
+        10.0, unit="1", low=0.1, high=1000.0, shape=True, doc="fringes from the middle to the corner at 550 nm"
+    )
+    order_550: float = parameter(40.0, unit="1", low=0.0, high=1e5, shape=True, doc="interference order in the middle at 550 nm")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale by the fringe of each pixel and wavelength."""
+        if not self.amplitude:
+            return signal
+        grid = np.array([REFERENCE_NM]) if signal.wavelength_nm is None else signal.wavelength_nm
+        fringe = self.order_550 - self.fringes * context.field_radius()[None] ** 2
+        return signal.scaled(1 + self.amplitude * np.cos(2 * np.pi * (REFERENCE_NM / grid)[:, None, None] * fringe))
+
+
+def _moved(fx: Float, fy: Float, wavelength_nm: Float, *, x: float, y: float, shift: Any) -> NDArray[np.complex128]:
+    """Transfer function of an image moved along (x, y) by ``shift(wavelength_nm)`` px."""
+    return np.asarray(np.exp(-2j * np.pi * shift(wavelength_nm) * (fx * x + fy * y)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateralColor(Effect):
+    """Magnification that depends on colour: red and blue edges move outwards with the field radius.
+
+    The shift of the window's middle is applied to all of the window.  Leaves flats, darks and even
+    charts alone: only edge places of the channels differ.
+    """
+
+    name = "lateral_color"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 40.0
+    equation = "dx_c = a_c r outwards; a(610) = a_R, a(540) = 0, a(460) = a_B, linear between"
+    reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 11 (lateral color)"
+    must_not_change = ("dark", "flat", "illumination")
+
+    red_px: float = parameter(0.0, unit="px", low=-50.0, high=50.0, tau=0.5, doc="shift a_R at the corner, 610 nm")
+    blue_px: float = parameter(0.0, unit="px", low=-50.0, high=50.0, tau=0.5, doc="shift a_B at the corner, 460 nm")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """A phase factor for each wavelength."""
+        if not (self.red_px or self.blue_px):
+            return signal
+        x, y = field_point(context)
+        return signal.blurred(partial(_moved, x=x, y=y, shift=self._shift))  # type: ignore[arg-type]
+
+    def _shift(self, wavelength_nm: Float) -> Float:
+        return np.asarray(np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (self.blue_px, 0.0, self.red_px)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distortion(Effect):
+    """Third-order distortion: edges move radially with the cube of the field radius, all channels alike.
+
+    The shift of the window's middle is applied to all of the window.  Confounded with scale and pose.
+    """
+
+    name = "distortion"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 42.0
+    equation = "dr = k1 r^3 outwards, r = 1 at the corner"
+    reference = "Brown, Photogrammetric Engineering 32 (1966) 444 (radial term)"
+    must_not_change = ("dark", "flat", "illumination")
+
+    k1_px: float = parameter(0.0, unit="px", low=-500.0, high=500.0, tau=3.0, doc="shift at the corner")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """A phase factor, the same for all wavelengths."""
+        if not self.k1_px:
+            return signal
+        x, y = field_point(context)
+        shift = self.k1_px * (x * x + y * y)
+        return signal.blurred(partial(_moved, x=x, y=y, shift=lambda wavelength_nm: shift))  # type: ignore[arg-type]
+
+
+def field_mean(signal: Signal, context: Context) -> Float:
+    """Mean irradiance (bands, 1, 1) of the field: the context's, or that of the window where it has none."""
+    if context.mean_irradiance is not None:
+        return np.asarray(context.mean_irradiance, float)[:, None, None]
+    return np.asarray(signal.values.mean(axis=(1, 2), keepdims=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ghost(Effect):
+    """Light thrown back between lens surfaces: a wide disc of the whole field's mean around the middle.
+
+    The mirrored image E(-k x) is far out of focus, so its detail is replaced by the field's mean and its
+    border at r = 1/k is a smooth step of width 1/(4k).  Leaves darks alone.
+    """
+
+    name = "ghost"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 80.0
+    equation = "E += gamma <E> disc(k r)"
+    reference = "ISO 18844:2017 (image flare); Kingslake, Optics in Photography (1992), ch. 5 (ghosts)"
+    must_not_change = ("dark",)
+    uses_mean_irradiance = True
+
+    gamma: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.005, doc="ghost light as a fraction of the field's mean")
+    k: float = parameter(2.0, unit="1", low=0.2, high=50.0, shape=True, doc="inverse radius of the ghost in half diagonals")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the disc."""
+        if not self.gamma:
+            return signal
+        disc = 0.5 * (1 - np.tanh(8 * (self.k * context.field_radius() - 1)))
+        return signal.plus(self.gamma * field_mean(signal, context) * disc[None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class VeilingGlare(Effect):
+    """Light scattered evenly over the field: darks of a scene rise in proportion to its mean.
+
+    Gain-like on flats, absent from darks; confounded with ambient light and black reflectance (a black
+    trap in bright and in dark surround separates them).
+    """
+
+    name = "veiling_glare"
+    stage = "optics"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 90.0
+    equation = "E += gamma <E>, <E> the mean over the whole field"
+    reference = "ISO 18844:2017; ISO 9358:1994"
+    must_not_change = ("dark",)
+    uses_mean_irradiance = True
+
+    gamma: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.02, doc="glare as a fraction of the field's mean irradiance")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the scattered light."""
+        return signal.plus(self.gamma * field_mean(signal, context)) if self.gamma else signal

@@ -1,0 +1,107 @@
+"""The pixel as an optical element: aperture, diffusion, microlens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context
+from isetval.core.effect import Effect, parameter
+from isetval.core.signal import Signal
+from isetval.effects.pupil import REFERENCE_NM
+
+Float = NDArray[np.float64]
+
+
+def _square(fx: Float, fy: Float, wavelength_nm: Float, *, width_px: float) -> Float:
+    """Transfer function of a square pixel."""
+    return np.asarray(np.sinc(width_px * fx) * np.sinc(width_px * fy))
+
+
+def _diffused(fx: Float, fy: Float, wavelength_nm: Float, *, sigma_px: float, growth: float) -> Float:
+    """Transfer function of Gaussian diffusion that grows with wavelength."""
+    sigma = sigma_px * np.maximum(0.0, 1 + growth * (wavelength_nm - REFERENCE_NM) / 100)
+    return np.asarray(np.exp(-2 * np.pi**2 * sigma**2 * (fx * fx + fy * fy)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelAperture(Effect):
+    """The light-sensitive square of a pixel: the same blur for all channels and focus settings.
+
+    Confounded with charge diffusion (rho .986); only the wavelength dependence of the latter helps.
+    The fill factor changes blur here, not the level.
+    """
+
+    name = "pixel_aperture"
+    stage = "pixel"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 10.0
+    equation = "MTF x sinc(w fx) sinc(w fy)"
+    reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., eq. 10-26 (detector MTF)"
+    must_not_change = ("dark", "flat", "illumination")
+
+    width_px: float = parameter(0.0, unit="px", low=0.0, high=2.0, tau=0.3, doc="width w of the pixel's aperture")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """One more transfer function."""
+        return signal.blurred(partial(_square, width_px=self.width_px)) if self.width_px else signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChargeDiffusion(Effect):
+    """Spatial crosstalk: carriers that reach a neighbouring pixel.  Independent of focus, worst in red.
+
+    Confounded with the pixel aperture and with print blur of the chart.
+    """
+
+    name = "charge_diffusion"
+    stage = "pixel"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 20.0
+    equation = "MTF x exp(-2 pi^2 sigma^2 f^2), sigma = sigma_c (1 + growth (lambda - 550 nm)/100 nm)"
+    reference = "Janesick, Photon Transfer (SPIE 2007), sec. 10; Gaussian kernel is a convention"
+    must_not_change = ("dark", "flat", "illumination")
+
+    sigma_px: float = parameter(0.0, unit="px", low=0.0, high=3.0, tau=0.25, doc="standard deviation of the spread at 550 nm")
+    growth: float = parameter(0.0, unit="1/100 nm", low=-0.5, high=1.0, shape=True, doc="relative growth with wavelength")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """One more transfer function."""
+        if not self.sigma_px:
+            return signal
+        return signal.blurred(partial(_diffused, sigma_px=self.sigma_px, growth=self.growth))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Microlens(Effect):
+    """Loss at the microlens that grows with the chief-ray angle; may differ between channels.
+
+    Even over the field.  The part common to all channels has the shape of cos^4 (rho .998); the
+    channel ratios R/G(r) and B/G(r) are its own.  Acts on the electrons of each colour channel (a
+    monochrome sensor uses ``m_green``), so it stands behind quantum_efficiency and before cfa.
+    """
+
+    name = "microlens"
+    stage = "pixel"
+    acts_on = "electron"
+    gives = "electron"
+    order = 45.0
+    equation = "mu_c x (1 - m_c r^2), r = 1 at the corner"
+    reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); second-order term"
+    must_not_change = ("dark",)
+
+    m_red: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.15, doc="loss of red at the corner")
+    m_green: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.15, doc="loss of green at the corner")
+    m_blue: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.15, doc="loss of blue at the corner")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale each colour channel."""
+        if not (self.m_red or self.m_green or self.m_blue):
+            return signal
+        loss = (self.m_green,) if context.sensor.cfa == "MONO" else (self.m_red, self.m_green, self.m_blue)
+        return signal.scaled(1 - np.array(loss)[:, None, None] * context.field_radius()[None] ** 2)

@@ -1,0 +1,194 @@
+"""The circular exit pupil: diffraction, defocus and aberrations as one transfer function.
+
+Effects do not multiply blurs of the lens: they add focus shifts and aberrations to this pupil, which
+then forms one transfer function.  Two focus shifts of +5 um and -5 um therefore cancel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context
+from isetval.core.errors import InputError
+from isetval.core.signal import Signal
+
+Float = NDArray[np.float64]
+REFERENCE_NM = 550.0
+RED_NM, GREEN_NM, BLUE_NM = 610.0, 540.0, 460.0
+"""Wavelengths at which the axial colour of the red, green and blue channel is stated."""
+
+
+@dataclass(frozen=True)
+class CircularPupil:
+    """A circular pupil with focus shift and Zernike aberrations.
+
+    Parameters
+    ----------
+    f_number : float
+        Ratio of image distance to pupil diameter N.
+    pixel_um : float
+        Pixel pitch in um: turns cycles/pixel into cycles/um.
+    diffraction_f_number : float
+        N of the wave optics; 0 is geometric optics.
+    focus_um : float
+        Shift z of the sensor from best focus in um, away from the lens.
+    red_um, blue_um : float
+        Further focus shift at 610 and at 460 nm relative to 540 nm; linear between, constant outside.
+    spherical_waves, coma_x_waves, coma_y_waves, astigmatism_0_waves, astigmatism_45_waves : float
+        Orthonormal (Noll) Zernike coefficients in waves at 550 nm, that is rms wavefront errors.
+
+    Notes
+    -----
+    With s = f lambda N the separation of the two pupils of the autocorrelation in pupil diameters and
+    k W the phase over the unit pupil, ``OTF = (1/pi) integral exp(i k [W(u + s, v) - W(u - s, v)])``
+    over their common area.  Defocus W = z/(8 N^2) rho^2 gives the phase a u with a = pi z f / N and
+    ``OTF = (4/pi) int_0^sqrt(1-s^2) sin(a X)/a dv``, X = sqrt(1 - v^2) - s (Hopkins 1955), which is
+    (2/pi)(acos s - s sqrt(1-s^2)) in focus and 2 J1(a)/a, the geometric disc of diameter z/N, for s = 0.
+    Phases of further aberrations are summed under the same integral by Gauss-Legendre quadrature.
+    """
+
+    f_number: float
+    pixel_um: float
+    diffraction_f_number: float = 0.0
+    focus_um: float = 0.0
+    red_um: float = 0.0
+    blue_um: float = 0.0
+    spherical_waves: float = 0.0
+    coma_x_waves: float = 0.0
+    coma_y_waves: float = 0.0
+    astigmatism_0_waves: float = 0.0
+    astigmatism_45_waves: float = 0.0
+
+    def adjusted(self, **added: float) -> CircularPupil:
+        """The pupil with ``added`` on top of its focus shifts and aberrations."""
+        return replace(self, **{name: getattr(self, name) + value for name, value in added.items()})
+
+    def transfer(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        """Transfer function at (fx, fy) in cycles/pixel and wavelength in nm; arguments broadcast.
+
+        Real, unless there is coma.
+        """
+        frequency = np.hypot(fx, fy) / self.pixel_um
+        wave_um = np.asarray(wavelength_nm, float) * 1e-3
+        separation = np.asarray(frequency * wave_um * self.diffraction_f_number)
+        phase = np.asarray(np.pi * self._focus(wavelength_nm) * frequency / self.f_number)
+        if not self._aberrated():
+            return _defocused(separation, phase)
+        shear = 2 * np.pi * frequency * self.f_number * REFERENCE_NM * 1e-3
+        turn = np.arctan2(fy, fx)
+        cos2, sin2 = np.cos(2 * turn), np.sin(2 * turn)
+        a0, a45 = self.astigmatism_0_waves, self.astigmatism_45_waves
+        phase = phase + shear * 4 * math.sqrt(6) * (a0 * cos2 + a45 * sin2)
+        across = shear * 4 * math.sqrt(6) * (a45 * cos2 - a0 * sin2)
+        along = self.coma_x_waves * np.cos(turn) + self.coma_y_waves * np.sin(turn)
+        aside = self.coma_y_waves * np.cos(turn) - self.coma_x_waves * np.sin(turn)
+        out = _aberrated(separation, phase, across, shear * self.spherical_waves, shear * along, shear * aside)
+        return out if self.coma_x_waves or self.coma_y_waves else cast(Float, out.real)
+
+    def _focus(self, wavelength_nm: Float) -> Float | float:
+        if not (self.red_um or self.blue_um):
+            return self.focus_um
+        axial = np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (self.blue_um, 0.0, self.red_um))
+        return np.asarray(self.focus_um + axial)
+
+    def _aberrated(self) -> bool:
+        return any(getattr(self, field.name) for field in fields(self) if field.name.endswith("_waves"))
+
+
+def adjust_pupil(signal: Signal, effect: str, **added: float) -> Signal:
+    """The signal imaged by its pupil with focus shifts and aberrations ``added``.
+
+    Raises
+    ------
+    InputError
+        If no pupil stands in front, or one that cannot take aberrations.
+    """
+    adjusted = getattr(signal.pupil, "adjusted", None)
+    if adjusted is None:
+        raise InputError(f"effect {effect}: no lens pupil in front of it; put aperture before {effect}")
+    return signal.through(adjusted(**added))
+
+
+def field_point(context: Context) -> tuple[float, float]:
+    """Place (x, y) of the middle of the shot's window in half diagonals: one point spread per shot."""
+    row0, col0, rows, cols = context.shot_window or context.window
+    sensor = context.sensor
+    half = math.hypot(sensor.rows, sensor.cols) / 2
+    return (col0 + (cols - sensor.cols) / 2) / half, (row0 + (rows - sensor.rows) / 2) / half
+
+
+@lru_cache(maxsize=64)
+def _nodes(count: int) -> tuple[Float, Float]:
+    """Gauss-Legendre nodes and weights on (0, 1)."""
+    x, w = np.polynomial.legendre.leggauss(count)
+    return (x + 1) / 2, w / 2
+
+
+def _count(largest_phase: float) -> int:
+    return min(400, 4 * math.ceil((14 + 0.7 * largest_phase) / 4))
+
+
+def _defocused(separation: Float, phase: Float) -> Float:
+    """OTF of a defocused circular pupil; ``phase`` is a = pi z f / N."""
+    s, a = np.broadcast_arrays(separation, phase)
+    inside = s < 1
+    if not np.any(a):
+        v = np.minimum(s, 1)
+        return np.asarray(2 / np.pi * (np.arccos(v) - v * np.sqrt(1 - v**2)))
+    if not np.any(s):
+        from scipy.special import j1
+
+        safe = np.where(np.abs(a) < 1e-4, 1.0, a)
+        return np.asarray(np.where(np.abs(a) < 1e-4, 1 - a**2 / 8, 2 * j1(safe) / safe))
+    out = np.zeros(s.shape)
+    out[inside] = _hopkins(s[inside], np.abs(a[inside]))
+    return out
+
+
+def _hopkins(s: Float, a: Float) -> Float:
+    """(4/pi) int sin(a X)/a dv by Gauss-Legendre in t, v = sin t; s and a are (n,)."""
+    limit = np.arccos(s)
+    total = np.zeros_like(s)
+    a = np.maximum(a, 1e-7)
+    for node, weight in zip(*_nodes(_count(float((a * (1 - s)).max(initial=0)))), strict=True):
+        cosine = np.cos(limit * node)
+        total += weight * cosine * np.sin(a * (cosine - s))
+    return np.asarray(4 / np.pi * limit * total / a)
+
+
+def _aberrated(separation: Float, *phases: Any) -> NDArray[Any]:
+    """OTF with defocus, astigmatism, spherical aberration and coma.
+
+    ``phases`` are the coefficients of u, of v, of the spherical term, and of coma along and aside.
+    """
+    s, *terms = np.broadcast_arrays(separation, *phases)
+    inside = s < 1
+    out = np.zeros(s.shape, complex)
+    out[inside] = _integral(s[inside], *(term[inside] for term in terms))
+    return out
+
+
+def _integral(s: Float, focus: Float, across: Float, spherical: Float, along: Float, aside: Float) -> NDArray[Any]:
+    """Quadrature over the common area of two unit circles at +-s, arguments (n,)."""
+    size = np.abs(focus) + np.abs(across) + 24 * 5**0.5 * np.abs(spherical) + 14 * 8**0.5 * (np.abs(along) + np.abs(aside))
+    nodes, weights = _nodes(_count(float((size * (1 - s)).max(initial=0))))
+    limit = np.arccos(s)
+    total = np.zeros(s.shape, complex)
+    for t, weight_t in zip(2 * nodes - 1, 2 * weights, strict=True):
+        v, cosine = np.sin(limit * t), np.cos(limit * t)
+        reach = cosine - s
+        strip = np.zeros(s.shape, complex)
+        for x, weight_x in zip(2 * nodes - 1, 2 * weights, strict=True):
+            u = reach * x
+            square = u * u + v * v + s * s
+            phase = u * (focus + 24 * 5**0.5 * spherical * (2 * square - 1)) + across * v
+            phase += 8**0.5 * (along * (6 * square + 12 * u * u - 4) + 12 * aside * u * v)
+            strip += weight_x * np.exp(1j * phase)
+        total += weight_t * cosine * reach * strip
+    return np.asarray(limit * total / np.pi)
