@@ -1,0 +1,266 @@
+"""``sfr`` and ``sfr_batch``: from a capture and a region to a result with a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi, check_roi
+from isetval.core.errors import InputError
+from isetval.measure.edge import spectrum
+from isetval.measure.edge.estimate import Estimate, measure_edge
+from isetval.measure.edge.locate import FirstLook, first_look
+from isetval.measure.edge.prior import shape_prior
+from isetval.measure.edge.refine import distances
+from isetval.measure.edge.result import SfrResult
+from isetval.measure.edge.samples import Samples, check_channel, plane_samples
+from isetval.measure.edge.smooth import EsfFit
+from isetval.measure.edge.verdict import SHALLOW_DEG, Verdict, judge, not_an_edge, too_small
+
+Float = NDArray[np.float64]
+
+METHODS = ("default", "iso12233:2017", "iso12233:2023", "lyu2022")
+ROUNDING_VARIANCE = 1 / 12
+NAN = float("nan")
+
+
+def sfr(
+    capture: Capture,
+    roi: Roi | None = None,
+    channel: str = "G",
+    *,
+    method: str = "default",
+    choices: Mapping[str, Any] | None = None,
+) -> SfrResult:
+    """Slanted-edge spatial frequency response of one region.
+
+    Parameters
+    ----------
+    capture : Capture
+        Raw mosaic or one-channel image, linear.
+    roi : (row0, row1, col0, col1), half open, or None
+        Region with one edge; None is the whole capture.
+    channel : str
+        ``R``, ``Gr``, ``Gb``, ``B`` or ``G`` (both greens, on the mosaic); ignored for one-channel captures.
+    method : str
+        ``default``; ``iso12233:2017``, ``iso12233:2023``: the published procedures; ``lyu2022``: the 2003-era
+        procedure behind the paper's curves (demosaiced luminance, no slant and no derivative correction).
+    choices : mapping or None
+        ``choices`` of another result, to make the same data-driven choices (order of the edge, width and
+        stiffness of the spline) again.
+
+    Returns
+    -------
+    SfrResult
+        ``flags`` names the reasons when the edge is refused; its numbers are NaN then.
+
+    Raises
+    ------
+    InputError
+        For a region outside the capture, an unknown channel or method.
+    """
+    if method not in METHODS:
+        raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
+    if not isinstance(capture, Capture):
+        raise InputError(f"sfr needs a Capture, not {type(capture).__name__}; see Capture.from_array")
+    box = check_roi(capture, roi)
+    channel = check_channel(capture, channel)
+    if method != "default":
+        from isetval.measure.edge.iso import compatibility_sfr
+
+        return compatibility_sfr(capture, box, channel=channel, method=method)
+    if min(box[1] - box[0], box[3] - box[2]) < 8:
+        message = f"the region is {box[1] - box[0]} x {box[3] - box[2]} px; enlarge it"
+        return refused(capture, box, channel=channel, flags={"roi_too_small": message})
+    samples = plane_samples(capture, box, channel)
+    small = too_small(samples, channel)
+    if small:
+        return refused(capture, box, channel=channel, flags={"roi_too_small": small})
+    look = first_look(samples)
+    nothing = not_an_edge(samples, look)
+    if nothing or look is None:
+        flags = {"no_edge": nothing or ""}
+        flags |= _saturated(samples)
+        return refused(capture, box, channel=channel, flags=flags)
+    estimate = measure_edge(samples, look, floor=ROUNDING_VARIANCE, choices=choices)
+    return _report(capture, box, channel, samples, look, estimate)
+
+
+def sfr_batch(
+    captures: Capture | Sequence[Capture],
+    rois: Sequence[Roi | None],
+    channel: str = "G",
+    *,
+    method: str = "default",
+    choices: Mapping[str, Any] | None = None,
+) -> list[SfrResult]:
+    """``sfr`` of many regions: of one capture, or of as many captures as regions.
+
+    Raises
+    ------
+    InputError
+        When the numbers of captures and regions differ.
+    """
+    many = [captures] * len(rois) if isinstance(captures, Capture) else list(captures)
+    if len(many) != len(rois):
+        raise InputError(f"{len(many)} captures and {len(rois)} regions; give one capture, or one for each region")
+    return [sfr(c, r, channel, method=method, choices=choices) for c, r in zip(many, rois, strict=True)]
+
+
+def _saturated(samples: Samples) -> dict[str, str]:
+    share = float(samples.clipped_high.mean())
+    return {"saturated": f"{100 * share:.0f} % of the region is at the white level; expose less"} if share > 0.3 else {}
+
+
+def refused(capture: Capture, roi: Roi, *, channel: str, flags: Mapping[str, str], method: str = "default") -> SfrResult:
+    """A result without numbers."""
+    frequency = spectrum.default_frequency()
+    empty = np.zeros(0)
+    return SfrResult(
+        frequency_cy_px=frequency,
+        mtf=np.full(len(frequency), NAN),
+        mtf50_cy_px=NAN,
+        mtf50_sigma=NAN,
+        mtf30_cy_px=NAN,
+        mtf30_sigma=NAN,
+        mtf10_cy_px=NAN,
+        mtf10_sigma=NAN,
+        mtf50p_cy_px=NAN,
+        mtf50p_sigma=NAN,
+        angle_deg=NAN,
+        orientation="unknown",
+        distance_px=empty,
+        esf=empty,
+        lsf=empty,
+        flags=tuple(flags),
+        warnings=(),
+        edge_row_px=NAN,
+        edge_col_px=NAN,
+        edge_sigma_px=NAN,
+        sagitta_px=NAN,
+        polynomial=empty,
+        roughness_px=NAN,
+        dark_dn=NAN,
+        bright_dn=NAN,
+        dark_sigma_dn=NAN,
+        bright_sigma_dn=NAN,
+        noise_dark_dn=NAN,
+        noise_bright_dn=NAN,
+        channel=channel,
+        roi=roi,
+        pixel_um=capture.sensor.pixel_um,
+        method=method,
+        settings=_settings(capture, method),
+        choices={},
+        messages=dict(flags),
+    )
+
+
+def _settings(capture: Capture, method: str) -> dict[str, Any]:
+    return {
+        "method": method,
+        "cfa": capture.sensor.cfa,
+        "window": list(capture.window),
+        "frequency_step_cy_px": spectrum.FREQUENCY_STEP,
+    }
+
+
+def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: FirstLook, estimate: Estimate) -> SfrResult:
+    fit, line = estimate.fit, estimate.geometry.line
+    x, slope, bend = line.position(np.array([line.y_center_px]))
+    angle = float(np.degrees(np.arctan(slope[0])))
+    verdict = judge(
+        samples, look, estimate, channel=channel, angle_deg=angle, length_px=2 * line.y_half_px * np.hypot(1, slope[0])
+    )
+    frequency = spectrum.default_frequency()
+    curve = spectrum.mtf_of(fit, frequency)
+    inflation = _inflation(estimate, angle)
+    peak = float(curve.max())
+    found = spectrum.crossings(fit, frequency, curve, np.array([0.5, 0.3, 0.1, 0.5 * peak]))
+    refuse = bool(verdict.flags)
+    value = [NAN if refuse else c.value for c in found]
+    sigma = [NAN if refuse else c.sigma * inflation for c in found]
+    row, col = (float(x[0]), line.y_center_px) if samples.transposed else (line.y_center_px, float(x[0]))
+    distance, esf, lsf = curves(fit, distances(samples, line))
+    level_sigma = np.sqrt(np.diag(fit.covariance)[:2])
+    return SfrResult(
+        frequency_cy_px=frequency,
+        mtf=np.full(len(curve), NAN) if refuse else curve,
+        mtf50_cy_px=value[0],
+        mtf50_sigma=sigma[0],
+        mtf30_cy_px=value[1],
+        mtf30_sigma=sigma[1],
+        mtf10_cy_px=value[2],
+        mtf10_sigma=sigma[2],
+        mtf50p_cy_px=value[3],
+        mtf50p_sigma=sigma[3],
+        angle_deg=angle,
+        orientation="horizontal" if samples.transposed else "vertical",
+        distance_px=distance,
+        esf=esf,
+        lsf=lsf,
+        flags=tuple(verdict.flags),
+        warnings=tuple(verdict.warnings),
+        edge_row_px=row,
+        edge_col_px=col,
+        edge_sigma_px=estimate.edge_sigma_px,
+        sagitta_px=_sagitta(estimate),
+        polynomial=line.coefficients,
+        roughness_px=estimate.roughness_px,
+        dark_dn=fit.dark,
+        bright_dn=fit.dark + fit.step,
+        dark_sigma_dn=float(level_sigma[0]),
+        bright_sigma_dn=_bright_sigma(fit),
+        noise_dark_dn=float(np.sqrt(estimate.noise.dark)),
+        noise_bright_dn=float(np.sqrt(estimate.noise.bright)),
+        channel=channel,
+        roi=roi,
+        pixel_um=capture.sensor.pixel_um,
+        method="default",
+        settings=_settings(capture, "default") | {"curvature_per_px": float(bend[0] / (1 + slope[0] ** 2) ** 1.5)},
+        choices=estimate.choices,
+        inflation=inflation,
+        fit=None if refuse else fit,
+        messages=verdict.flags | verdict.warnings,
+    )
+
+
+def _bright_sigma(fit: EsfFit) -> float:
+    c = fit.covariance
+    return float(np.sqrt(max(c[0, 0] + c[1, 1] + 2 * c[0, 1], 0.0)))
+
+
+def _inflation(estimate: Estimate, angle_deg: float) -> float:
+    """Factor on sigma: misfit beyond the noise, and shallow angles (few independent phases)."""
+    misfit = max(1.0, estimate.fit.chi2 / max(estimate.fit.cells - 12, 1)) ** 0.5
+    return float(misfit * max(1.0, SHALLOW_DEG / max(abs(angle_deg), 0.1)))
+
+
+def _sagitta(estimate: Estimate) -> float:
+    """Bow of the fitted polynomial over its length, px along the normal."""
+    line = estimate.geometry.line
+    if line.order < 2:
+        return 0.0
+    y = line.y_center_px + line.y_half_px * np.linspace(-1, 1, 41)
+    x, slope, _ = line.position(y)
+    chord = x[0] + (x[-1] - x[0]) * np.linspace(0, 1, 41)
+    bow = (x - chord) / np.hypot(1, (x[-1] - x[0]) / (y[-1] - y[0]))
+    return float(bow[np.argmax(np.abs(bow))])
+
+
+def curves(fit: EsfFit, distance_px: Float) -> tuple[Float, Float, Float]:
+    """Distance grid (1/8 px or a tenth of the width), ESF in DN and LSF in 1/px."""
+    from isetval.measure.edge import basis
+
+    step = max(0.125, 0.1 * fit.width_px)
+    low, high = float(distance_px.min()), float(distance_px.max())
+    grid = step * np.arange(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)
+    prior = shape_prior()
+    columns = np.column_stack([prior.mean, prior.vectors]) @ fit.shape
+    z = grid / fit.width_px
+    esf = fit.dark + basis.spline_matrix(z) @ columns
+    lsf = basis.spline_matrix(z, derivative=1) @ columns / (fit.width_px * fit.step)
+    return grid, esf, lsf

@@ -1,0 +1,165 @@
+"""First position of an edge: one crossing per row, then a robust polynomial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.measure.edge.samples import Samples
+
+Float = NDArray[np.float64]
+
+MAX_ORDER = 5
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeLine:
+    """Column of the edge as a Legendre polynomial of the row.
+
+    ``x(y) = sum_k coefficients[k] P_k((y - y_center_px) / y_half_px)`` for rows where the edge was
+    seen, continued by its tangents outside.  ``sign`` is +1 when the bright side is at larger x.
+    """
+
+    coefficients: Float
+    y_center_px: float
+    y_half_px: float
+    sign: float
+
+    @property
+    def order(self) -> int:
+        """Polynomial order."""
+        return len(self.coefficients) - 1
+
+    def legendre(self, y_px: Float) -> Float:
+        """Legendre polynomials 0..5 at rows ``y_px`` (clipped to the seen range), (6, rows)."""
+        return legendre6(np.clip((y_px - self.y_center_px) / self.y_half_px, -1.0, 1.0))
+
+    def position(self, y_px: Float) -> tuple[Float, Float, Float]:
+        """x, dx/dy and d2x/dy2 of the edge at rows ``y_px``."""
+        t = (y_px - self.y_center_px) / self.y_half_px
+        inside = np.clip(t, -1.0, 1.0)
+        n = len(self.coefficients)
+        value = self.coefficients @ legendre6(inside)[:n]
+        slope = self.coefficients @ _legendre6_slope(inside)[:n] / self.y_half_px
+        bend = self.coefficients @ _legendre6_bend(inside)[:n] / self.y_half_px**2
+        outside = t - inside
+        bend = np.where(outside == 0, bend, 0.0)
+        return value + outside * slope * self.y_half_px, slope, bend
+
+    def with_coefficients(self, coefficients: Float) -> EdgeLine:
+        """The same frame with other coefficients."""
+        return EdgeLine(coefficients, self.y_center_px, self.y_half_px, self.sign)
+
+
+def legendre6(t: Float) -> Float:
+    """P_0 to P_5 at ``t``, (6, n)."""
+    t2 = t * t
+    return np.stack(
+        [
+            np.ones_like(t),
+            t,
+            1.5 * t2 - 0.5,
+            t * (2.5 * t2 - 1.5),
+            (4.375 * t2 - 3.75) * t2 + 0.375,
+            t * ((7.875 * t2 - 8.75) * t2 + 1.875),
+        ]
+    )
+
+
+def _legendre6_slope(t: Float) -> Float:
+    t2 = t * t
+    zero = np.zeros_like(t)
+    return np.stack([zero, zero + 1, 3 * t, 7.5 * t2 - 1.5, t * (17.5 * t2 - 7.5), (39.375 * t2 - 26.25) * t2 + 1.875])
+
+
+def _legendre6_bend(t: Float) -> Float:
+    t2 = t * t
+    zero = np.zeros_like(t)
+    return np.stack([zero, zero, zero + 3, 15 * t, 52.5 * t2 - 7.5, t * (157.5 * t2 - 52.5)])
+
+
+@dataclass(frozen=True, eq=False)
+class FirstLook:
+    """What the first pass saw: levels, line, which rows hold the edge, scatter of the crossings about the line."""
+
+    line: EdgeLine
+    dark: float
+    bright: float
+    rows_used: NDArray[np.bool_]
+    scatter_px: float
+
+
+def two_levels(values: Float) -> tuple[float, float]:
+    """Dark and bright level by iterated thresholding at their middle."""
+    threshold = float(values.mean())
+    low = high = threshold
+    for _ in range(4):
+        above = values > threshold
+        n = int(above.sum())
+        if n == 0 or n == values.size:
+            break
+        total = float(values.sum())
+        high = float(np.sum(values, where=above)) / n
+        low = (total - high * n) / (values.size - n)
+        if abs((low + high) / 2 - threshold) < 0.01 * (high - low):
+            break
+        threshold = (low + high) / 2
+    return low, high
+
+
+def first_look(samples: Samples) -> FirstLook | None:
+    """Crossings of all rows and the robust polynomial through them; None without any crossing.
+
+    The cumulated sum of (value - middle level) is least at the step of a rising row: the maximum
+    likelihood position of a step between two known levels in white noise, so that no derivative is
+    taken of noisy data.
+    """
+    v = samples.values
+    dark, bright = two_levels(v)
+    n = v.shape[1]
+    sign = 1.0 if float(v.mean(axis=0) @ (np.arange(n) - (n - 1) / 2)) >= 0 else -1.0
+    walk = np.cumsum(v - (dark + bright) / 2, axis=1) * sign
+    k = np.argmin(walk, axis=1)
+    rows = np.arange(len(k))
+    depth = walk[rows, k]
+    rise = walk[:, -1] - depth
+    need = (bright - dark) * 0.75
+    good = (k >= 1) & (k <= n - 3) & (-depth > need) & (rise > need)
+    if int(good.sum()) < 6:
+        return None
+    x = samples.x0_px + samples.step_px * (k + 0.5)
+    y = samples.y_px
+    line, scatter = _robust_line(x[good], y[good], sign, samples.step_px)
+    return FirstLook(line, dark, bright, good, scatter)
+
+
+def _robust_line(x: Float, y: Float, sign: float, step_px: float) -> tuple[EdgeLine, float]:
+    """Tukey-weighted Legendre fit; order 1, or 3 or 5 when they halve the scatter."""
+    center, half = (y[0] + y[-1]) / 2, max((y[-1] - y[0]) / 2, 1.0)
+    p = legendre6((y - center) / half)
+    best, scatter = _tukey(p[:2], x, step_px)
+    for order in (2, 3, 5):
+        if len(x) < 4 * order:
+            break
+        trial, spread = _tukey(p[: order + 1], x, step_px)
+        if spread < 0.7 * scatter and scatter > 0.6 * step_px:
+            best, scatter = trial, spread
+    return EdgeLine(best, float(center), float(half), sign), scatter
+
+
+def _tukey(p: Float, x: Float, step_px: float) -> tuple[Float, float]:
+    w = np.ones_like(x)
+    scale = 0.0
+    c = np.zeros(len(p))
+    for turn in range(8):
+        pw = p * w
+        c = np.linalg.solve(pw @ p.T + 1e-9 * np.eye(len(p)), pw @ x)
+        r = np.abs(x - c @ p)
+        new = 1.4826 * float(np.median(r)) + 0.05 * step_px
+        if turn > 2 and abs(new - scale) < 0.02 * scale:
+            break
+        scale = new
+        w = np.where(r < 6 * scale, (1 - (r / (6 * scale)) ** 2) ** 2, 0.0) if turn > 0 else 1 / np.maximum(r, scale / 2)
+    return c, scale

@@ -1,0 +1,223 @@
+"""What a slanted edge gives: curves, numbers, their uncertainty, settings and verdict."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from isetval.core.capture import Roi
+from isetval.core.errors import MeasurementError
+from isetval.measure.edge import spectrum
+from isetval.measure.edge.smooth import EsfFit
+
+Float = NDArray[np.float64]
+
+AXIS = "frequency along the edge normal, cycles per pixel of the full sensor grid"
+
+
+@dataclass(frozen=True, eq=False)
+class SfrResult:
+    """Slanted-edge SFR of one region.
+
+    Parameters
+    ----------
+    frequency_cy_px : (n,)
+        Frequency along the edge normal, cycles per pixel of the full sensor grid.
+    mtf : (n,)
+        SFR, 1 at frequency 0; NaN when refused.
+    mtf50_cy_px, mtf30_cy_px, mtf10_cy_px, mtf50p_cy_px : float
+        First falls to 50, 30, 10 % of the value at 0, and to 50 % of the curve's peak.
+    angle_deg : float
+        Angle of the edge from the nearer pixel axis, -45 to 45; ``orientation`` says which axis.
+    distance_px, esf, lsf : (m,)
+        Signed distance along the normal (positive on the bright side), ESF in DN above black, LSF in 1/px.
+    flags : tuple of str
+        Reason codes for refusing the edge; empty = accepted.
+    warnings : tuple of str
+        Codes that do not refuse it: see ``isetval.measure.edge.verdict``.
+    edge_row_px, edge_col_px : float
+        Point of the edge in the middle of the region, capture pixels.
+    sagitta_px : float
+        Bow of the edge over the region; 0 for a straight fit.
+    polynomial : (order + 1,)
+        Legendre coefficients of the edge's position against the row (column, for horizontal edges).
+    roughness_px : float
+        Scatter of the edge's position from row to row beyond the noise, r.m.s.
+    dark_dn, bright_dn : float
+        Levels on both sides above black; ``noise_dark_dn``, ``noise_bright_dn`` their standard deviations per sample.
+    method : str
+    settings, choices : mapping
+        What was asked for; what the estimator chose from the data (give it to ``sfr(choices=...)`` to choose the same again).
+    """
+
+    frequency_cy_px: Float
+    mtf: Float
+    mtf50_cy_px: float
+    mtf50_sigma: float
+    mtf30_cy_px: float
+    mtf30_sigma: float
+    mtf10_cy_px: float
+    mtf10_sigma: float
+    mtf50p_cy_px: float
+    mtf50p_sigma: float
+    angle_deg: float
+    orientation: str
+    distance_px: Float
+    esf: Float
+    lsf: Float
+    flags: tuple[str, ...]
+    warnings: tuple[str, ...]
+    edge_row_px: float
+    edge_col_px: float
+    edge_sigma_px: float
+    sagitta_px: float
+    polynomial: Float
+    roughness_px: float
+    dark_dn: float
+    bright_dn: float
+    dark_sigma_dn: float
+    bright_sigma_dn: float
+    noise_dark_dn: float
+    noise_bright_dn: float
+    channel: str
+    roi: Roi
+    pixel_um: float
+    method: str
+    settings: Mapping[str, Any]
+    choices: Mapping[str, Any]
+    inflation: float = 1.0
+    fit: EsfFit | None = field(default=None, repr=False)
+    sigma_curve: Float | None = field(default=None, repr=False)
+    messages: Mapping[str, str] = field(default_factory=dict)
+
+    axis = AXIS
+
+    @property
+    def accepted(self) -> bool:
+        """Whether no reason speaks against the edge."""
+        return not self.flags
+
+    @cached_property
+    def mtf_sigma(self) -> Float:
+        """Standard deviation of ``mtf`` at every frequency, (n,)."""
+        if self.fit is None:
+            return np.full(len(self.mtf), np.nan) if self.sigma_curve is None else self.sigma_curve
+        gradient = spectrum.mtf_gradient(self.fit, self.frequency_cy_px)
+        covariance = spectrum.shape_covariance(self.fit, kind="posterior")
+        variance = np.einsum("ij,ij->i", gradient @ covariance, gradient)
+        out = np.sqrt(np.maximum(variance, 0)) * self.inflation
+        out[self.frequency_cy_px == 0] = 0.0
+        return np.asarray(out)
+
+    @property
+    def frequency_cy_mm(self) -> Float:
+        """``frequency_cy_px`` in cycles/mm on the sensor."""
+        return self.frequency_cy_px / (self.pixel_um * 1e-3)
+
+    @property
+    def mtf50_cy_mm(self) -> float:
+        """MTF50 in cycles/mm on the sensor."""
+        return self.mtf50_cy_px / (self.pixel_um * 1e-3)
+
+    @property
+    def nyquist_mtf(self) -> float:
+        """SFR at 0.5 cy/px."""
+        return float(np.interp(0.5, self.frequency_cy_px, self.mtf))
+
+    @property
+    def sampling_efficiency(self) -> float:
+        """MTF10 over the Nyquist frequency, at most 1 (the convention of the ISO reference code)."""
+        return float(min(self.mtf10_cy_px, 0.5) / 0.5) if np.isfinite(self.mtf10_cy_px) else float("nan")
+
+    @property
+    def curvature_per_px(self) -> float:
+        """Curvature of the edge (1/radius) at the middle of the region, 1/px."""
+        return float(self.settings.get("curvature_per_px", 0.0))
+
+    @property
+    def snr_bright(self) -> float:
+        """Bright level over its noise."""
+        return self.bright_dn / self.noise_bright_dn if self.noise_bright_dn > 0 else float("inf")
+
+    def mtf_at(self, frequency_cy_px: ArrayLike) -> Float:
+        """SFR at any frequencies (cy/px)."""
+        f = np.atleast_1d(np.asarray(frequency_cy_px, dtype=float))
+        if self.fit is None or self.flags:
+            return np.asarray(np.interp(f, self.frequency_cy_px, self.mtf))
+        return spectrum.mtf_of(self.fit, f)
+
+    def mtf_covariance(self, frequency_cy_px: ArrayLike | None = None, *, kind: str = "posterior") -> Float:
+        """Covariance of the SFR at ``frequency_cy_px``, (n, n).
+
+        ``kind="posterior"``: uncertainty of the SFR as an estimate of the system's (what ``mtf_sigma``
+        is made from).  ``kind="sampling"``: scatter of the estimate over repeated noise with the same
+        choices, the one to use between two captures measured alike, where biases cancel.
+
+        Raises
+        ------
+        MeasurementError
+            When the edge was refused or the method gives no covariance.
+        """
+        if self.fit is None:
+            raise MeasurementError(
+                f"roi {self.roi}: method {self.method!r} with flags {self.flags} has no covariance; "
+                "use the default method on an accepted edge"
+            )
+        f = self.frequency_cy_px if frequency_cy_px is None else np.atleast_1d(np.asarray(frequency_cy_px, dtype=float))
+        gradient = spectrum.mtf_gradient(self.fit, f)
+        gradient[f == 0] = 0.0
+        return np.asarray(gradient @ spectrum.shape_covariance(self.fit, kind=kind) @ gradient.T * self.inflation**2)
+
+    def acutance(self, *, pixels_per_degree: float) -> float:
+        """Acutance for a viewer who sees ``pixels_per_degree`` pixels in one degree."""
+        return spectrum.acutance(self.frequency_cy_px, self.mtf, pixels_per_degree=pixels_per_degree)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the fit, as plain JSON values."""
+        skip = {"fit", "sigma_curve"}
+        out: dict[str, Any] = {"axis": AXIS}
+        for name in self.__dataclass_fields__:
+            if name not in skip:
+                out[name] = _plain(getattr(self, name))
+        out["mtf_sigma"] = _plain(self.mtf_sigma)
+        out["nyquist_mtf"] = self.nyquist_mtf
+        out["sampling_efficiency"] = self.sampling_efficiency
+        return out
+
+    def to_json(self) -> str:
+        """JSON text; NaN becomes null."""
+        return json.dumps(_finite(self.to_dict()), indent=1)
+
+    def to_csv(self) -> str:
+        """The curve as CSV text with the axis definition in the first line."""
+        rows = zip(self.frequency_cy_px, self.frequency_cy_mm, self.mtf, self.mtf_sigma, strict=True)
+        head = f"# {AXIS}; method {self.method}; flags {' '.join(self.flags) or 'none'}\nfrequency_cy_px,frequency_cy_mm,mtf,mtf_sigma\n"
+        return head + "".join(f"{a:.6g},{b:.6g},{c:.8g},{d:.4g}\n" for a, b, c, d in rows)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(v) for v in value]
+    return value
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    return value

@@ -1,0 +1,148 @@
+"""Pixels of one colour plane as rows of samples: the form in which an edge is measured.
+
+Every plane of a mosaic, and a one-channel image, is a set of rows whose samples are equally spaced:
+R, Gr, Gb and B on the mosaic have every second row and column, both greens together (a quincunx) every
+row with a start that alternates.  Edges nearer to horizontal are transposed, so that all that follows
+sees one crossing per row.  Coordinates stay those of the capture's pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view
+from isetval.core.errors import InputError
+from isetval.core.sensor import BAYER_PLANES, pattern_at
+
+Float = NDArray[np.float64]
+
+CHANNELS = ("R", "Gr", "Gb", "B", "G")
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples of a plane, black level removed.
+
+    Parameters
+    ----------
+    values : float array (rows, n)
+        DN above black.
+    x0_px, y_px : float arrays (rows,)
+        Column coordinate of each row's first sample and row coordinate, in pixels of the capture
+        (exchanged when ``transposed``).
+    step_px : float
+        Distance of neighbours along a row.
+    row_step_px : float
+        Distance of neighbouring rows.
+    transposed : bool
+    clipped_high, clipped_low : bool arrays (rows, n)
+        Samples at or above the white level, at raw zero.
+    """
+
+    values: Float
+    x0_px: Float
+    y_px: Float
+    step_px: float
+    row_step_px: float
+    transposed: bool
+    clipped_high: NDArray[np.bool_]
+    clipped_low: NDArray[np.bool_]
+
+    @property
+    def x_px(self) -> Float:
+        """Column coordinate of every sample, (rows, n)."""
+        return np.asarray(self.x0_px[:, None] + self.step_px * np.arange(self.values.shape[1]))
+
+    def flipped(self) -> Samples:
+        """The same samples with rows and columns exchanged; needs a rectangular grid."""
+        if len(self.x0_px) > 1 and np.ptp(self.x0_px) > 0:
+            raise InputError("a quincunx is transposed on the mosaic, not on its rows")
+        x = self.x0_px[0] + self.step_px * np.arange(self.values.shape[1])
+        return Samples(
+            values=np.ascontiguousarray(self.values.T),
+            x0_px=np.full(len(x), self.y_px[0]),
+            y_px=x,
+            step_px=self.row_step_px,
+            row_step_px=self.step_px,
+            transposed=not self.transposed,
+            clipped_high=self.clipped_high.T,
+            clipped_low=self.clipped_low.T,
+        )
+
+
+def check_channel(capture: Capture, channel: str) -> str:
+    """The channel that will be read: ``MONO`` for a one-channel capture, else one of R, Gr, Gb, B, G."""
+    if capture.sensor.cfa == "MONO":
+        return "MONO"
+    if channel not in CHANNELS:
+        raise InputError(f"channel is {channel!r}; it needs one of {', '.join(CHANNELS)} (G: both greens together)")
+    return channel
+
+
+def plane_samples(capture: Capture, roi: Roi | None, channel: str) -> Samples:
+    """Samples of ``channel`` inside ``roi``, turned so that the edge crosses every row."""
+    channel = check_channel(capture, channel)
+    box = check_roi(capture, roi)
+    if channel != "G":
+        samples = _grid(capture, box, channel)
+        return samples.flipped() if _is_horizontal(samples.values) else samples
+    greens = plane_view(capture, "Gr", box)[0]
+    return _quincunx(capture, box, transposed=_is_horizontal(greens.astype(float)))
+
+
+def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
+    view, (row, col), step = plane_view(capture, channel, box)
+    return Samples(
+        values=view - plane_black_dn(capture, channel),
+        x0_px=np.full(view.shape[0], float(col)),
+        y_px=row + step * np.arange(view.shape[0], dtype=float),
+        step_px=float(step),
+        row_step_px=float(step),
+        transposed=False,
+        clipped_high=view >= capture.sensor.white_dn,
+        clipped_low=view <= 0,
+    )
+
+
+def _quincunx(capture: Capture, box: Roi, *, transposed: bool) -> Samples:
+    """Both greens: each row of the mosaic (or each column, when transposed) holds every second pixel."""
+    row0, row1, col0, col1 = box
+    raw = capture.mosaic[row0:row1, col0:col1]
+    pattern = pattern_at(capture.sensor.cfa, (capture.window[0] + row0, capture.window[1] + col0))
+    starts = [pattern.index("G"), 1 - pattern.index("G")]
+    if transposed:
+        raw, row0, col0 = raw.T, col0, row0
+    n = raw.shape[1] // 2
+    first = raw[0::2, starts[0] :: 2][:, :n], raw[1::2, starts[1] :: 2][:, :n]
+    n = min(part.shape[1] for part in first)
+    out = np.empty((raw.shape[0], n), raw.dtype)
+    out[0::2], out[1::2] = first[0][:, :n], first[1][:, :n]
+    # row parity of the (possibly transposed) pattern -> which green, hence which black level
+    places = [(0, starts[0]), (1, starts[1])]
+    black = []
+    for row, col in places:
+        r, c = (col, row) if transposed else (row, col)
+        origin = (box[0] + capture.window[0] + r) % 2, (box[2] + capture.window[1] + c) % 2
+        black.append(capture.sensor.black_dn[origin[0]][origin[1]])
+    level = np.resize(np.array(black), raw.shape[0])
+    return Samples(
+        values=out - level[:, None],
+        x0_px=col0 + np.resize(np.array(starts, dtype=float), raw.shape[0]),
+        y_px=row0 + np.arange(raw.shape[0], dtype=float),
+        step_px=2.0,
+        row_step_px=1.0,
+        transposed=transposed,
+        clipped_high=out >= capture.sensor.white_dn,
+        clipped_low=out <= 0,
+    )
+
+
+def _is_horizontal(values: Float) -> bool:
+    """Whether the level changes more from row to row than from column to column."""
+    return bool(np.var(values.mean(axis=1)) > np.var(values.mean(axis=0)))
+
+
+__all__ = ["BAYER_PLANES", "CHANNELS", "Samples", "check_channel", "plane_samples"]
