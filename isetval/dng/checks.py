@@ -13,9 +13,10 @@ from isetval.dng.refusal import Remark
 
 Mosaic = NDArray[np.uint16]
 
-MEDIAN_NEIGHBOURS = 8
+NEIGHBOURS = 8
 OUTLIER_SIGMAS = 8.0
 MISSING_CODES_LISTED = 16
+COMMON_COUNT, WIDEST_GAP = 30, 15
 CLIPPED_SHARE_NAMED = 1e-4
 NORMAL_MAD = 1.4826
 
@@ -69,7 +70,7 @@ def line_remarks(mosaic: Mosaic) -> list[Remark]:
     """First and last rows and columns that are constant, or whose mean stands out of their neighbours'."""
     rows, cols = mosaic.shape
     remarks: list[Remark] = []
-    if min(rows, cols) < 4 * MEDIAN_NEIGHBOURS:
+    if min(rows, cols) < 4 * NEIGHBOURS:
         return remarks
     for axis, name in ((0, "row"), (1, "column")):
         lines = mosaic if axis == 0 else mosaic.T
@@ -81,23 +82,25 @@ def line_remarks(mosaic: Mosaic) -> list[Remark]:
 
 
 def _odd_line(lines: Mosaic, index: int) -> str | None:
-    """Compare a rim line with the lines of its own CFA phase next to it."""
-    step = 2 if index == 0 else -2
-    neighbours = lines[index + step : index + step * (MEDIAN_NEIGHBOURS + 1) : step].astype(float)
-    line = lines[index].astype(float)
-    if np.ptp(line) == 0 and np.ptp(neighbours) > 0:
+    """Hold the step from a rim line to the next line of its CFA phase against the steps behind it.
+
+    A picture's own structure (gradients, texture, row noise) makes all steps alike; a bad line makes
+    the first one stand out.
+    """
+    phase = lines[index :: 2 if index == 0 else -2][: NEIGHBOURS + 1].astype(float)
+    line, behind = phase[0], phase[1:]
+    # a chance of 1e-6 that pixels like those behind would all have one value
+    if np.ptp(line) == 0 and line.size * np.log1p(-min(float(np.mean(behind != line[0])), 0.999)) < np.log(1e-6):
         return f"holds {int(line[0])} everywhere"
-    half = np.ptp(np.median(neighbours, axis=1))
-    scatter = max(float(NORMAL_MAD * np.median(np.abs(neighbours - np.median(neighbours, axis=0)))), 0.5)
-    # a picture's own gradient moves the lines too: allow eight times the range of the neighbours' levels
-    allowed = OUTLIER_SIGMAS * max(scatter * np.sqrt(np.pi / 2 / line.size), half)
-    shift = float(np.median(line - np.median(neighbours, axis=0)))
-    excess = float(np.mean(np.abs(line - np.median(neighbours, axis=0)) > OUTLIER_SIGMAS * scatter))
-    usual = float(np.mean(np.abs(neighbours - np.median(neighbours, axis=0)) > OUTLIER_SIGMAS * scatter))
-    if abs(shift) > max(allowed, 1.0):
-        return f"lies {shift:+.1f} DN from its neighbours"
-    if excess > max(0.02, 10 * usual):
-        return f"holds garbage: {excess:.0%} of its pixels lie more than {OUTLIER_SIGMAS:g} sigma from their neighbours"
+    steps = np.diff(phase, axis=0)
+    noise = max(float(NORMAL_MAD * np.median(np.abs(steps[1:] - np.median(steps[1:], axis=1, keepdims=True)))), 0.5)
+    shift, *usual_shift = np.median(steps, axis=1).tolist()
+    scatter = noise * np.sqrt(np.pi / 2 / line.size)
+    if abs(shift) > max(OUTLIER_SIGMAS * scatter, 4 * max(map(abs, usual_shift)), 1.0):
+        return f"lies {-shift:+.1f} DN from its neighbours"
+    share, *usual_share = np.mean(np.abs(steps) > OUTLIER_SIGMAS * noise, axis=1).tolist()
+    if share > max(0.1, 4 * max(usual_share)):
+        return f"holds garbage: {share:.0%} of its pixels lie more than {OUTLIER_SIGMAS:g} sigma from their neighbours"
     return None
 
 
@@ -115,9 +118,9 @@ class Codes:
 def code_use(mosaic: Mosaic) -> Codes:
     """Codes that never occur although their neighbours are common.
 
-    Only values between the 0.1 % and 99 % quantile are judged, and only where chance would have left
-    no gap: a value is missing if the mean count of the two nearest used values is at least 30 (a
-    Poisson count of mean 30 is zero with probability 1e-13).
+    Only values between the 0.1 % and 99 % quantile are judged, and only gaps of at most 15 codes (a
+    shift by four bits) whose two ends occur at least 30 times each: a Poisson count of mean 30 is
+    zero with probability 1e-13, while the tails of a picture thin out before they end.
     """
     counts = np.bincount(mosaic.ravel(), minlength=2)
     total = np.cumsum(counts)
@@ -125,9 +128,9 @@ def code_use(mosaic: Mosaic) -> Codes:
     used = np.flatnonzero(counts)
     inside = np.arange(quantile[0], quantile[2] + 1)
     gaps = inside[counts[inside] == 0]
-    below = counts[used[np.searchsorted(used, gaps) - 1]]
-    above = counts[used[np.minimum(np.searchsorted(used, gaps), len(used) - 1)]]
-    missing = gaps[(below + above) / 2 >= 30]
+    at = np.searchsorted(used, gaps)
+    below, above = used[np.maximum(at - 1, 0)], used[np.minimum(at, len(used) - 1)]
+    missing = gaps[(np.minimum(counts[below], counts[above]) >= COMMON_COUNT) & (above - below <= WIDEST_GAP + 1)]
     listed = tuple(int(v) for v in missing[:MISSING_CODES_LISTED])
     return Codes(int(used[0]), int(used[-1]), float(quantile[1]), listed, len(missing))
 

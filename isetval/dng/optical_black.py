@@ -30,7 +30,8 @@ class OpticalBlack:
     from the median absolute deviation; ``area`` is (row0, row1, col0, col1) in the stored frame;
     ``difference_dn`` is the mean over the places minus that of the tag, ``differs`` whether noise
     does not explain it; ``drift_dn`` is how far the mean moves from one half of the margin's width to
-    the other, which bounds how well it stands for the picture; ``doubts`` says why the margin is not believed (empty = plausible).
+    the other, which bounds how well it stands for the picture; ``doubts`` says why the margin is not
+    believed (empty = plausible).
     """
 
     mean_dn: Black

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
@@ -67,43 +68,15 @@ def read_raw(
         pixel is the same.
     """
     data = read_bytes(path, kind="a raw file")
-    rows, cols = shape
-    if rows < 1 or cols < 1 or not 1 <= bits <= 16 or header_bytes < 0:
-        raise InputError(
-            f"{path}: shape {rows}x{cols}, {bits} bits, {header_bytes} header bytes; positive sizes and 1 to 16 bits are needed"
-        )
-    size = 1 if bits <= 8 else 2
-    needed = header_bytes + rows * cols * size
-    if len(data) != needed:
-        raise refusal(
-            path,
-            f"the file has {len(data)} bytes",
-            f"{needed} for {rows} x {cols} pixels of {size} bytes{f' after {header_bytes} header bytes' if header_bytes else ''}",
-            "correct the shape, the bits or the header size",
-        )
-    kind = "u1" if size == 1 else ("<u2" if byte_order == "little" else ">u2")
-    mosaic = np.frombuffer(data, kind, count=rows * cols, offset=header_bytes).astype(np.uint16).reshape(rows, cols)
-    top = int(mosaic.max())
-    if top >= 2**bits:
-        raise refusal(
-            path,
-            f"its highest value is {top}",
-            f"values up to {2**bits - 1} for {bits} bits",
-            "correct the bits or the byte order",
-        )
-    if mosaic.size > 1 and bool((mosaic == mosaic[0, 0]).all()):
-        raise refusal(path, f"every pixel is {int(mosaic[0, 0])}", "a picture", "check shape and file")
-    exact: Any = 0.0 if black_dn is None else black_dn
-    at_window = Sensor(1, 1, pixel_um, cfa, exact, 2.0**bits - 1 if white_dn is None else white_dn, bits)
-    row0, col0 = window
-    sensor = Sensor(
-        row0 + rows,
-        col0 + cols,
-        pixel_um,
-        pattern_at(cfa, window),
-        black_at(at_window.black_dn, window),
-        at_window.white_dn,
-        bits,
+    mosaic = _samples(path, data, shape, bits=bits, byte_order=byte_order, header_bytes=header_bytes)
+    first: Any = 0.0 if black_dn is None else black_dn
+    at_first = Sensor(1, 1, pixel_um, cfa, first, 2.0**bits - 1 if white_dn is None else white_dn, bits)
+    sensor = replace(
+        at_first,
+        rows=window[0] + shape[0],
+        cols=window[1] + shape[1],
+        cfa=pattern_at(cfa, window),
+        black_dn=black_at(at_first.black_dn, window),
     )
     capture = Capture(mosaic, sensor, window, exposure or Exposure())
     provenance = {
@@ -112,7 +85,32 @@ def read_raw(
         "black_used": "not known, taken as 0" if black_dn is None else "given",
         "warnings": tuple(asdict(r) for r in _remarks(capture, black_known=black_dn is not None)),
     }
-    return Capture(mosaic, sensor, window, capture.exposure, provenance)
+    return replace(capture, provenance=provenance)
+
+
+def _samples(
+    path: object, data: bytes, shape: tuple[int, int], *, bits: int, byte_order: str, header_bytes: int
+) -> NDArray[np.uint16]:
+    """The mosaic, after everything that can contradict the file has been held against it."""
+    rows, cols = shape
+    if rows < 1 or cols < 1 or not 1 <= bits <= 16 or header_bytes < 0:
+        said = f"shape {rows}x{cols}, {bits} bits, {header_bytes} header bytes"
+        raise InputError(f"{path}: {said} were given; positive sizes and 1 to 16 bits are needed; correct them")
+    size = 1 if bits <= 8 else 2
+    wanted = header_bytes + rows * cols * size
+    if len(data) != wanted:
+        after = f" after {header_bytes} header bytes" if header_bytes else ""
+        needed = f"{wanted} for {rows} x {cols} pixels of {size} bytes{after}"
+        raise refusal(path, f"the file has {len(data)} bytes", needed, "correct the shape, the bits or the header size")
+    kind = "u1" if size == 1 else ("<u2" if byte_order == "little" else ">u2")
+    mosaic = np.frombuffer(data, kind, count=rows * cols, offset=header_bytes).astype(np.uint16).reshape(rows, cols)
+    top = int(mosaic.max())
+    if top >= 2**bits:
+        needed = f"values up to {2**bits - 1} for {bits} bits"
+        raise refusal(path, f"its highest value is {top}", needed, "correct the bits or the byte order")
+    if mosaic.size > 1 and bool((mosaic == mosaic[0, 0]).all()):
+        raise refusal(path, f"every pixel is {top}", "a picture", "check shape and file")
+    return mosaic
 
 
 def _remarks(capture: Capture, *, black_known: bool) -> list[Remark]:
