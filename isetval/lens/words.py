@@ -18,7 +18,8 @@ def audit_lines(audit: LensAudit) -> list[str]:
     low, mean, high = audit.etendue_ratio
     head = [
         f"lens            {audit.name}  (degree {audit.degree}, {wavelengths} nm)",
-        f"f-number        F/{audit.f_number:.2f} from the pass region (E/L {audit.irradiance_factor:.5f} sr on the axis, film {audit.film_mm:.4f} mm)",
+        f"f-number        F/{audit.f_number:.2f} from the pass region (E/L {audit.irradiance_factor:.5f} sr on axis, "
+        f"film {audit.film_mm:.4f} mm)",
         f"focal length    {audit.focal_length_mm:.3f} mm, entrance pupil radius {audit.entrance_pupil_radius_mm:.3f} mm",
         f"étendue         determinant {low:.3f} ... {high:.3f}, mean {mean:.3f}",
     ]
