@@ -97,7 +97,16 @@ class Lag(Effect):
         if not self.fraction or context.previous is None:
             return signal
         values = signal.values
-        return signal.with_values(values + self.fraction * np.asarray(context.previous).astype(values.dtype))
+        return signal.with_values(values + self.fraction * _here(context.previous, context).astype(values.dtype))
+
+
+def _here(shot_values: Array, context: Context) -> Array:
+    """The rows and columns of the context's window, cut from values of the whole shot (or one value for all)."""
+    array = np.atleast_2d(shot_values)
+    if context.shot_window is None or array.size == 1 or array.shape[-2:] == context.window[2:]:
+        return array
+    top, left = context.window[0] - context.shot_window[0], context.window[1] - context.shot_window[1]
+    return array[..., top : top + context.window[2], left : left + context.window[3]]
 
 
 @dataclass(frozen=True, kw_only=True)

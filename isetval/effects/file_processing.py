@@ -1,0 +1,238 @@
+"""What a phone does to its "raw" numbers before they reach the file.  All act on DN and end in whole codes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context
+from isetval.core.effect import Effect, parameter
+from isetval.core.sensor import black_at, plane_names, plane_position
+from isetval.core.signal import Signal
+
+Array = NDArray[Any]
+
+
+def _black(context: Context, values: Array) -> Array:
+    """The black level of each pixel, (1, rows, cols) or (1, 1, 1)."""
+    black = np.array(black_at(context.sensor.black_dn, context.window[:2]))
+    if np.ptp(black) == 0:
+        return black[None, :1, :1].astype(values.dtype)
+    rows, cols = context.window[2:]
+    return np.tile(black, ((rows + 1) // 2, (cols + 1) // 2))[None, :rows, :cols].astype(values.dtype)
+
+
+def _in_codes(signal: Signal, values: Array, context: Context) -> Signal:
+    """Whole codes from 0 to white (the expectation is limited but not rounded)."""
+    if context.mode != "expected":
+        values = np.rint(values)
+    return signal.with_values(np.clip(values, 0, context.sensor.white_dn))
+
+
+def _planes(context: Context) -> list[tuple[slice, slice]]:
+    """The places (rows, cols) of each colour plane in the window."""
+    cfa = context.sensor.cfa
+    if cfa == "MONO":
+        return [(slice(None), slice(None))]
+    places = (plane_position(cfa, plane, context.window[:2]) for plane in plane_names(cfa))
+    return [(slice(row, None, 2), slice(col, None, 2)) for row, col in places]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearizationTable(Effect):
+    """A code table that was (or was not) applied: mean against level is curved, codes are missing."""
+
+    name = "linearization_table"
+    stage = "file"
+    acts_on = "dn"
+    gives = "dn"
+    order = 10.0
+    equation = "u -> u + s u (1 - u), u = (DN - black)/(white - black), then rounding"
+    reference = "Adobe, Digital Negative Specification 1.7, tag LinearizationTable; second-order curve"
+    must_not_change = ("dark",)
+
+    bend: float = parameter(0.0, unit="1", low=-0.9, high=0.9, tau=0.05, doc="bend s of the curve")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Bend the codes above black."""
+        if not self.bend:
+            return signal
+        values = signal.values
+        black = _black(context, values)
+        u = (values - black) / (context.sensor.white_dn - black)
+        return _in_codes(signal, values + self.bend * (context.sensor.white_dn - black) * u * (1 - u), context)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainMapApplied(Effect):
+    """Shading correction that is already in the file: flat illumination, noise that rises towards the corner.
+
+    Noise against mean at corner and centre gives the applied gain away.
+    """
+
+    name = "gain_map_applied"
+    stage = "file"
+    acts_on = "dn"
+    gives = "dn"
+    order = 20.0
+    equation = "black + (DN - black) (1 + m r^2), r = 1 at the corner"
+    reference = "Adobe, Digital Negative Specification 1.7, opcode GainMap; second-order map"
+
+    corner: float = parameter(0.0, unit="1", low=0.0, high=20.0, tau=0.5, doc="gain above 1 at the corner, m")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale the codes above black."""
+        if not self.corner:
+            return signal
+        values = signal.values
+        black = _black(context, values)
+        gain = (1 + self.corner * context.field_radius() ** 2).astype(values.dtype)
+        return _in_codes(signal, black + (values - black) * gain, context)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DigitalGain(Effect):
+    """A hidden factor that is switched on beyond an exposure time: a step in DN against time."""
+
+    name = "digital_gain"
+    stage = "file"
+    acts_on = "dn"
+    gives = "dn"
+    order = 25.0
+    equation = "black + (DN - black)(1 + d) where t > t1"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 6.7 (linearity against exposure time comes first)"
+
+    gain: float = parameter(0.0, unit="1", low=-0.9, high=63.0, tau=0.1, doc="relative gain d")
+    above_s: float = parameter(0.03, unit="s", low=0.0, high=1e4, shape=True, doc="exposure time t1 above which it acts")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale the codes above black."""
+        if not self.gain or context.time_s() <= self.above_s:
+            return signal
+        values = signal.values
+        black = _black(context, values)
+        return _in_codes(signal, black + (values - black) * (1 + self.gain), context)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawFiltering(Effect):
+    """Noise reduction in the "raw": neighbours of the same colour are mixed.
+
+    MTF falls and the noise becomes correlated; the neighbour covariance of darks shows it.
+    """
+
+    name = "raw_filtering"
+    stage = "file"
+    acts_on = "dn"
+    gives = "dn"
+    order = 30.0
+    halo_px = 2
+    equation = "(1 - 4 w) DN + w (sum of the 4 nearest of the same colour)"
+    reference = "first-order smoothing kernel; e.g. Gonzalez & Woods, Digital Image Processing, sec. 3.5"
+
+    weight: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.02, doc="weight w of each neighbour")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Smooth each colour plane; at the border the pixel stands in for its missing neighbour."""
+        if not self.weight:
+            return signal
+        step = 1 if context.sensor.cfa == "MONO" else 2
+        values = np.array(signal.values)
+        old = values.copy()
+        for axis in (1, 2):
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -step), slice(step, None)
+            flow = self.weight * (old[tuple(high)] - old[tuple(low)])
+            values[tuple(low)] += flow
+            values[tuple(high)] -= flow
+        return _in_codes(signal, values, context)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensCorrection(Effect):
+    """A warp that was applied to the "raw" planes: edges move radially, noise becomes correlated.
+
+    Measured distortion is then near zero where the geometry says otherwise.
+    """
+
+    name = "lens_correction"
+    stage = "file"
+    acts_on = "dn"
+    gives = "dn"
+    order = 35.0
+    halo_px = 16
+    equation = "DN(p) = DN_0(p + k r^3 outwards), cubic interpolation within each colour plane"
+    reference = "Adobe, Digital Negative Specification 1.7, opcode WarpRectilinear"
+    must_not_change = ("illumination",)
+
+    k_px: float = parameter(0.0, unit="px", low=-300.0, high=300.0, tau=3.0, doc="shift k at the corner")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Resample each colour plane."""
+        if not self.k_px:
+            return signal
+        from scipy.ndimage import map_coordinates
+
+        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        x, y = context.xy_mm()
+        half = context.sensor.half_diagonal_mm
+        square = (x * x + y * y) / half**2
+        down, right = self.k_px * square * y / half, self.k_px * square * x / half
+        step = 1 if context.sensor.cfa == "MONO" else 2
+        for rows, cols in _planes(context):
+            plane = values[0, rows, cols]
+            place = np.indices(plane.shape) + np.array([down[rows, cols], right[rows, cols]]) / step
+            values[0, rows, cols] = map_coordinates(plane, place, order=3, mode="nearest")
+        return _in_codes(signal, values, context)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrongBlackTag(Effect):
+    """A file whose black level is not the one its tag states: an offset of every code, darks included.
+
+    Only an optical-black margin tells it from an error of the sensor's black level.
+    """
+
+    name = "wrong_black_tag"
+    stage = "file"
+    acts_on = "dn"
+    gives = "dn"
+    order = 40.0
+    equation = "DN + pedestal"
+    reference = "Adobe, Digital Negative Specification 1.7, tag BlackLevel"
+    must_not_change = ("edge",)
+
+    pedestal_dn: float = parameter(0.0, unit="DN", low=-5000.0, high=5000.0, tau=5.0, doc="true minus stated black level")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Shift the codes."""
+        return _in_codes(signal, signal.values + self.pedestal_dn, context) if self.pedestal_dn else signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlackClip(Effect):
+    """Codes below black that were cut off: darks with a low spread, a high mean, half a bell.
+
+    Strength 1 is the real thing; values between mix cut and uncut codes.
+    """
+
+    name = "black_clip"
+    stage = "file"
+    acts_on = "dn"
+    gives = "dn"
+    order = 50.0
+    equation = "DN + strength (max(DN, black) - DN)"
+    reference = "moments of the censored normal: Johnson, Kotz & Balakrishnan, Continuous Univariate Distributions 1, sec. 13.10"
+    must_not_change = ("edge",)
+
+    strength: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=1.0, doc="0 none, 1 all codes below black cut off")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Lift the codes below black."""
+        if not self.strength:
+            return signal
+        values = signal.values
+        return _in_codes(signal, values + self.strength * np.maximum(_black(context, values) - values, 0), context)
