@@ -18,7 +18,7 @@ LARGEST = 1024
 
 
 def nonlinearity_at(response: Response | None, used: Sequence[Level]) -> Quantity:
-    """m / L - 1 at the highest level used; 0 where the means are straight, nan where times are unknown."""
+    """M / L - 1 at the highest level used; 0 where the means are straight, nan where times are unknown."""
     if response is None:
         times = {level.time_s for level in used}
         if None in times or len(times) < 5:

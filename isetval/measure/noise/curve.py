@@ -75,7 +75,7 @@ class Response:
         return out
 
     def slope(self, linear: Float) -> Float:
-        """dm / dL."""
+        """Dm / dL."""
         x = linear / self.scale_dn
         return np.asarray(1 + 2 * self.a * x + 3 * self.b * x**2)
 
@@ -244,7 +244,8 @@ def fit_response(time_s: Float, mean_dn: Float, sigma_dn: Float) -> Response | N
     x = time_s / top
     weight = 1 / np.hypot(sigma_dn / mean_dn, _scatter_floor(rate, sigma_dn / mean_dn)) / rate
     best: tuple[float, Float, Float, tuple[int, ...], float] | None = None
-    for powers in ((), (1,), (2,), (1, 2)):
+    trials: tuple[tuple[int, ...], ...] = ((), (1,), (2,), (1, 2))
+    for powers in trials:
         design = np.column_stack([np.ones_like(x), *(x**p for p in powers)]) * weight[:, None]
         normal = np.linalg.pinv(design.T @ design, hermitian=True)
         theta = normal @ (design.T @ (rate * weight))
@@ -255,15 +256,21 @@ def fit_response(time_s: Float, mean_dn: Float, sigma_dn: Float) -> Response | N
         square = max(float(rest @ rest), 1e-30)
         score = n * math.log(square / n) + 2 * k * n / (n - k - 1)
         if best is None or score < best[0]:
-            best = (score, theta, normal * max(square / (n - k + 1), 1.0), powers, math.sqrt(square / (n - k + 1)))
+            best = (
+                score,
+                theta,
+                np.asarray(normal * max(square / (n - k + 1), 1.0), dtype=np.float64),
+                powers,
+                math.sqrt(square / (n - k + 1)),
+            )
     assert best is not None
-    _, theta, covariance, powers, scatter = best
+    _, theta, covariance, chosen, scatter = best
     ratio = theta[1:] / theta[0]
     error = np.sqrt(np.diag(covariance))[1:] / theta[0]
-    if not powers or not np.any(np.abs(ratio) > 4 * error):
+    if not chosen or not np.any(np.abs(ratio) > 4 * error):
         return None
     values, spread = np.zeros(2), np.zeros((2, 2))
-    index = [p - 1 for p in powers]
+    index = [p - 1 for p in chosen]
     values[index] = ratio
     spread[np.ix_(index, index)] = covariance[1:, 1:] / theta[0] ** 2
     return Response(float(values[0]), float(values[1]), float(theta[0] * top), spread, scatter, int(x.size))

@@ -57,10 +57,7 @@ def group(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Ca
     check_frames(everything)
     means = {id(c): frame_mean(c, roi) for c in everything}
     notes: list[str] = []
-    if dark is not None:
-        chosen = list(dark)
-    else:
-        chosen = _find_dark(captures, means, roi)
+    chosen = list(dark) if dark is not None else _find_dark(captures, means, roi)
     taken = {id(c) for c in chosen}
     rest = [c for c in captures if id(c) not in taken]
     if not chosen:

@@ -161,8 +161,8 @@ def _maximize(data: tuple[Float, Float, int, bool], start: Float, frames: int) -
         move = np.clip(np.linalg.solve(information, gradient), -0.5, 0.5)
         theta, gained, best = _line_search(data, theta, move, best, frames)
         if gained < 1e-5:
-            return theta, np.linalg.inv(information), True
-    return theta, np.linalg.inv(information), False
+            return theta, np.asarray(np.linalg.inv(information), dtype=np.float64), True
+    return theta, np.asarray(np.linalg.inv(information), dtype=np.float64), False
 
 
 def _line_search(

@@ -118,8 +118,8 @@ class PhotonTransfer(Mapping[str, PlaneTransfer]):
 def photon_transfer(
     captures: Sequence[Capture],
     roi: Roi | None = None,
-    *,
     dark: Sequence[Capture] | None = None,
+    *,
     method: str = "default",
     choices: Mapping[str, Any] | None = None,
 ) -> PhotonTransfer:

@@ -1,0 +1,213 @@
+"""Dark analysis: black level, temporal noise, dark current, DSNU, rows and columns, defects, drift."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isetval.core.capture import Capture, Roi, planes_of
+from isetval.core.errors import InputError
+from isetval.measure.noise.quantity import Quantity, root
+from isetval.measure.noise.reference import DarkLevel, dark_level
+from isetval.measure.noise.statistics import check_frames, noisy_fraction
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HOT_SD = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneDark:
+    """Dark signal of one plane, DN.
+
+    Parameters
+    ----------
+    black_level_dn : Quantity
+        Raw DN at zero exposure time (intercept where there are several times).
+    read_noise_dn : Quantity
+        Temporal noise of a pixel at the shortest time, before rounding: read and reset noise together, which dark
+        frames alone cannot tell apart.
+    temporal_noise_dn : Quantity
+        The same with what whole rows and frames do.
+    row_temporal_noise_dn : Quantity
+        Signed standard deviation of row means from frame to frame beyond pixel noise.
+    dsnu_dn : Quantity
+        Fixed pixel-to-pixel pattern without residual noise, signed standard deviation.
+    row_fixed_dn, column_fixed_dn : Quantity
+        Fixed row and column parts, signed standard deviations.
+    dark_current_dn_per_s, dark_current_variance_dn2_per_s : Quantity
+        Slopes of mean and of temporal variance over exposure time; their ratio is K.
+    hot_pixels, noisy_pixels : int
+        Pixels above the field at the longest time; pixels of excess temporal noise (telegraph noise).
+    drift_dn : Quantity
+        Signed standard deviation of frame means beyond noise.
+    frame_means_dn : array (frames,)
+        Raw mean of every frame, in the order given.
+    levels : tuple of (time_s or None, DarkLevel)
+        Everything by exposure time.
+    flags : tuple of str
+    """
+
+    plane: str
+    black_level_dn: Quantity
+    read_noise_dn: Quantity
+    temporal_noise_dn: Quantity
+    row_temporal_noise_dn: Quantity
+    dsnu_dn: Quantity
+    row_fixed_dn: Quantity
+    column_fixed_dn: Quantity
+    dark_current_dn_per_s: Quantity
+    dark_current_variance_dn2_per_s: Quantity
+    hot_pixels: int
+    noisy_pixels: int
+    drift_dn: Quantity
+    frame_means_dn: np.ndarray[tuple[int], np.dtype[np.float64]]
+    levels: tuple[tuple[float | None, DarkLevel], ...]
+    flags: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Dark(Mapping[str, PlaneDark]):
+    """Plane name -> PlaneDark."""
+
+    planes: Mapping[str, PlaneDark]
+
+    def __getitem__(self, plane: str) -> PlaneDark:
+        if plane not in self.planes:
+            raise InputError(f"plane {plane!r} was not measured; there are {', '.join(self.planes)}")
+        return self.planes[plane]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.planes)
+
+    def __len__(self) -> int:
+        return len(self.planes)
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a quantity: plane, name, value, sigma, unit, flags."""
+        import pandas as pd
+
+        rows = [
+            (plane, name, value.value, value.total_sigma, value.unit, " ".join(result.flags))
+            for plane, result in self.planes.items()
+            for name, value in vars(result).items()
+            if isinstance(value, Quantity)
+        ]
+        return pd.DataFrame(rows, columns=["plane", "name", "value", "sigma", "unit", "flags"])
+
+
+def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
+    """Dark signal from frames without light, of one or several exposure times.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Dark frames; two or more of a time for anything temporal.
+    roi : (row0, row1, col0, col1), optional
+        Region on the mosaic.
+
+    Raises
+    ------
+    InputError
+        For no frames or frames that do not belong together.
+
+    Notes
+    -----
+    Below .75 DN of noise, or where frames are clipped at zero, an exact-quantization likelihood replaces
+    var - 1/12 (see ``quantized``).
+    """
+    check_frames(captures)
+    return Dark({plane: _plane_dark(captures, plane, roi) for plane in planes_of(captures[0])})
+
+
+def _plane_dark(captures: Sequence[Capture], plane: str, roi: Roi | None) -> PlaneDark:
+    times = sorted({c.exposure.time_s or 0.0 for c in captures})
+    levels: list[tuple[float | None, DarkLevel]] = []
+    for time in times:
+        frames = [c for c in captures if (c.exposure.time_s or 0.0) == time]
+        levels.append((frames[0].exposure.time_s, dark_level(frames, plane, roi)))
+    first = levels[0][1]
+    current, intercept = _mean_slope(levels)
+    by_variance = _variance_slope(levels)
+    flags = list(dict.fromkeys(f for _, level in levels for f in level.flags))
+    if first.moments.frames < 2:
+        flags.append("single_frame")
+    if current.value < -4 * current.sigma:
+        flags.append("dark_current_negative")
+    longest = levels[-1][1]
+    noisy = noisy_fraction(longest.moments).value if longest.moments.frames > 1 else 0.0
+    return PlaneDark(
+        plane=plane,
+        black_level_dn=intercept,
+        read_noise_dn=first.read_noise_dn,
+        temporal_noise_dn=root(first.total_variance, "DN"),
+        row_temporal_noise_dn=root(first.row_temporal, "DN"),
+        dsnu_dn=root(first.dsnu_variance, "DN"),
+        row_fixed_dn=root(first.fixed.row, "DN"),
+        column_fixed_dn=root(first.fixed.column, "DN"),
+        dark_current_dn_per_s=current,
+        dark_current_variance_dn2_per_s=by_variance,
+        hot_pixels=hot_pixels(longest),
+        noisy_pixels=round(noisy * longest.moments.average.size),
+        drift_dn=root(first.frame_scatter, "DN"),
+        frame_means_dn=_frame_means(captures, plane, roi),
+        levels=tuple(levels),
+        flags=tuple(flags),
+    )
+
+
+def hot_pixels(level: DarkLevel) -> int:
+    """Pixels above the field by more than six sd of the mean image's noise and pattern."""
+    rest = np.asarray(level.moments.average, dtype=np.float64) - level.fixed.surface
+    return int(np.sum(level.defects & (rest > 0)))
+
+
+def _frame_means(captures: Sequence[Capture], plane: str, roi: Roi | None) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    from isetval.core.capture import plane_view
+
+    return np.array([plane_view(c, plane, roi)[0].mean(dtype=np.float64) for c in captures])
+
+
+def _mean_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> tuple[Quantity, Quantity]:
+    """Dark current from the means (DN/s) and black level at zero time; frame drift widens the sigma."""
+    first = levels[0][1]
+    if len(levels) < 2:
+        return Quantity(math.nan, math.nan, "DN/s"), first.black_dn
+    time = np.array([t or 0.0 for t, _ in levels])
+    value = np.array([level.black_dn.value for _, level in levels])
+    drift = [
+        max(level.frame_scatter.value, 0.0) / level.moments.frames if level.moments.frames > 1 else 0.0 for _, level in levels
+    ]
+    sigma = np.array(
+        [max(math.hypot(level.black_dn.sigma, math.sqrt(d)), 1e-6) for (_, level), d in zip(levels, drift, strict=True)]
+    )
+    theta, covariance = _weighted_line(time, value, sigma)
+    return (
+        Quantity(float(theta[1]), float(math.sqrt(covariance[1, 1])), "DN/s"),
+        Quantity(float(theta[0]), float(math.sqrt(covariance[0, 0])), "DN", first.black_dn.shared),
+    )
+
+
+def _variance_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> Quantity:
+    """Slope of the read variance over time, DN^2/s."""
+    known = [(t or 0.0, level.read_variance) for t, level in levels if level.moments.frames > 1]
+    if len(known) < 2:
+        return Quantity(math.nan, math.nan, "DN^2/s")
+    time = np.array([t for t, _ in known])
+    theta, covariance = _weighted_line(time, np.array([v.value for _, v in known]), np.array([v.sigma for _, v in known]))
+    return Quantity(float(theta[1]), float(math.sqrt(covariance[1, 1])), "DN^2/s")
+
+
+def _weighted_line(x: np.ndarray, y: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Intercept and slope with covariance, widened by chi2 / dof where that exceeds 1."""
+    design = np.stack([np.ones_like(x), x], axis=1) / sigma[:, None]
+    inverse = np.linalg.inv(design.T @ design)
+    theta = inverse @ (design.T @ (y / sigma))
+    rest = y / sigma - design @ theta
+    wider = max(float(rest @ rest) / (x.size - 2), 1.0) if x.size > 2 else 1.0
+    return theta, inverse * wider

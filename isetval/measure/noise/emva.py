@@ -1,0 +1,219 @@
+"""A table in the manner of EMVA 1288 (release 4.0) from one photon-transfer series.
+
+Names, symbols and definitions follow the standard; estimates are those of this package (weighted fits, ratio-scaled
+frames, exact rounding), which is said in the note of each row that differs.  Quantum efficiency and what hangs on
+photons need the photon number from a radiometer; without it those rows are nan.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isetval.core.capture import Capture, Roi
+from isetval.measure.noise.dark_frames import dark as dark_analysis
+from isetval.measure.noise.grouping import group
+from isetval.measure.noise.quantity import Quantity, root
+from isetval.measure.noise.transfer import PhotonTransfer, PlaneTransfer, photon_transfer
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class EmvaRow:
+    """One quantity of one plane."""
+
+    plane: str
+    name: str
+    symbol: str
+    value: float
+    sigma: float
+    unit: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class EmvaTable:
+    """Rows of the table."""
+
+    rows: tuple[EmvaRow, ...]
+
+    def __getitem__(self, key: tuple[str, str]) -> EmvaRow:
+        """Row by (plane, symbol)."""
+        for row in self.rows:
+            if (row.plane, row.symbol) == key:
+                return row
+        raise KeyError(key)
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a quantity."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(row) for row in self.rows], columns=list(EmvaRow.__dataclass_fields__))
+
+
+def emva1288(
+    captures: Sequence[Capture],
+    roi: Roi | None = None,
+    dark: Sequence[Capture] | None = None,
+    *,
+    photons_per_pixel_s: float | None = None,
+) -> EmvaTable:
+    """EMVA 1288 style characterization of each plane.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Levels from dark to saturation, two or more frames each; see ``photon_transfer``.
+    roi, dark
+        As for ``photon_transfer``.
+    photons_per_pixel_s : float, optional
+        Photon irradiance in photons per pixel and second of the flats at the monitoring wavelength (light constant,
+        exposure varied): gives quantum efficiency and absolute sensitivity threshold.
+    """
+    result = photon_transfer(captures, roi, dark=dark)
+    darks = group(captures, roi, dark).dark
+    rows: list[EmvaRow] = []
+    for plane, transfer in result.items():
+        rows += _general(plane, transfer, photons_per_pixel_s)
+        rows += _patterns(plane, transfer)
+    if darks:
+        rows += _dark_rows(darks, roi, result)
+    return EmvaTable(tuple(rows))
+
+
+def _row(plane: str, name: str, symbol: str, q: Quantity, note: str = "") -> EmvaRow:
+    return EmvaRow(plane, name, symbol, q.value, q.total_sigma, q.unit, note)
+
+
+def _ratio(a: Quantity, b: Quantity, unit: str) -> Quantity:
+    value = a.value / b.value
+    relative = math.hypot(a.total_sigma / a.value if a.value else math.inf, b.total_sigma / b.value)
+    return Quantity(value, abs(value) * relative, unit)
+
+
+def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaRow]:
+    gain, read = t.gain_dn_per_e, t.read_noise_e
+    yield _row(plane, "overall system gain", "K", gain, "weighted fit, not a line through zero")
+    yield _row(plane, "temporal dark noise", "sigma_d", read, "rounding removed exactly; read and reset noise together")
+    yield _row(plane, "temporal dark noise", "sigma_y.dark", t.read_noise_dn)
+    top = saturation_level(t)
+    capacity = _ratio(top, gain, "e-")
+    found = "saturated_levels_left_out" in t.flags
+    yield _row(plane, "saturation capacity", "mu_e.sat", capacity, "" if found else "lower bound: no saturated level was shot")
+    noise = math.hypot(read.value, math.sqrt(1 / 12) / gain.value)
+    threshold = math.sqrt(noise**2 + 0.25) + 0.5
+    threshold_e = Quantity(threshold, read.sigma * read.value / math.sqrt(noise**2 + 0.25), "e-")
+    yield _row(plane, "sensitivity threshold", "mu_e.min", threshold_e, "signal-to-noise ratio 1")
+    ratio = _ratio(capacity, threshold_e, "1")
+    yield _row(plane, "dynamic range", "DR", Quantity(20 * math.log10(ratio.value), 8.686 * ratio.sigma / ratio.value, "dB"))
+    snr = 10 * math.log10(capacity.value)
+    yield _row(plane, "maximum signal-to-noise ratio", "SNR_max", Quantity(snr, 4.343 * capacity.sigma / capacity.value, "dB"))
+    low, high = linearity_error(t)
+    yield _row(plane, "linearity error, lowest", "LE_min", low, "5 to 95 % of saturation, over exposure time")
+    yield _row(plane, "linearity error, highest", "LE_max", high, "5 to 95 % of saturation, over exposure time")
+    efficiency = _efficiency(t, flux)
+    yield _row(plane, "quantum efficiency", "eta", efficiency, "" if flux else "needs photons_per_pixel_s")
+    photons = _ratio(threshold_e, efficiency.scaled(0.01, "1"), "photons")
+    yield _row(plane, "absolute sensitivity threshold", "mu_p.min", photons, "" if flux else "needs photons_per_pixel_s")
+
+
+def saturation_level(t: PlaneTransfer) -> Quantity:
+    """Mean signal of the brightest usable level, or of the plateau of the saturated ones, DN above black."""
+    beyond = [level for level in t.levels if level.reason in ("clipped_at_white", "above_saturation_knee")]
+    used = [level for level in t.levels if level.used]
+    low = used[-1].mean_dn
+    if not beyond:
+        return Quantity(low, used[-1].mean_sigma_dn, "DN")
+    if beyond[0].reason == "clipped_at_white":
+        high = max(beyond[-1].captures[0].sensor.white_dn - t.black_dn.value, low)
+        return Quantity(high, 0.5, "DN")
+    high = beyond[0].mean_dn
+    # saturation lies between the last level below and the first one at it
+    return Quantity((low + high) / 2, abs(high - low) / math.sqrt(12), "DN")
+
+
+def linearity_error(t: PlaneTransfer) -> tuple[Quantity, Quantity]:
+    """Smallest and largest relative departure from the line fitted with relative weights, %."""
+    nothing = Quantity(math.nan, math.nan, "%")
+    top = saturation_level(t).value
+    levels = [level for level in t.levels if level.used and level.time_s and 0.05 * top <= level.mean_dn <= 0.95 * top]
+    if len({level.time_s for level in levels}) < 3:
+        return nothing, nothing
+    time = np.array([level.time_s for level in levels], dtype=float)
+    mean = np.array([level.mean_dn for level in levels])
+    design = np.stack([time, np.ones_like(time)], axis=1) / mean[:, None]
+    theta = np.linalg.lstsq(design, np.ones_like(mean), rcond=None)[0]
+    error = 100 * (mean / (theta[0] * time + theta[1]) - 1)
+    sigma = np.array(
+        [100 * math.hypot(level.mean_sigma_dn, _jitter(level.frame_scatter, level.frames)) / level.mean_dn for level in levels]
+    )
+    low, high = int(np.argmin(error)), int(np.argmax(error))
+    return Quantity(float(error[low]), float(sigma[low]), "%"), Quantity(float(error[high]), float(sigma[high]), "%")
+
+
+def _jitter(scatter: Quantity, frames: int) -> float:
+    return math.sqrt(max(scatter.value, 0.0) / frames)
+
+
+def _efficiency(t: PlaneTransfer, flux: float | None) -> Quantity:
+    timed = [level for level in t.levels if level.used and level.time_s]
+    if not flux or not timed:
+        return Quantity(math.nan, math.nan, "%")
+    time = np.array([level.time_s for level in timed], dtype=float)
+    mean = np.array([level.mean_dn for level in timed])
+    rate = float(np.mean(mean / time))
+    error = float(np.std(mean / time, ddof=1)) / math.sqrt(time.size) if time.size > 1 else 0.0
+    k = t.gain_dn_per_e
+    value = 100 * rate / k.value / flux
+    return Quantity(value, value * math.hypot(error / rate, k.sigma / k.value), "%")
+
+
+def _patterns(plane: str, t: PlaneTransfer) -> Iterable[EmvaRow]:
+    """PRNU parts at the used level nearest half saturation, % of the mean, signed."""
+    used = [level for level in t.levels if level.used and level.fixed is not None]
+    level = min(used, key=lambda v: abs(v.mean_dn - 0.5 * used[-1].mean_dn))
+    assert level.fixed is not None
+    note = "signed; smooth light divided out"
+    for name, part in (
+        ("total", level.fixed.total),
+        ("row", level.fixed.row),
+        ("column", level.fixed.column),
+        ("pixel", level.fixed.pixel),
+    ):
+        q = root(part.scaled(1 / level.mean_dn**2, "1"), "1").scaled(100.0, "%")
+        symbol = "PRNU1288" + ("" if name == "total" else f".{name}")
+        yield _row(plane, f"photo-response non-uniformity, {name}", symbol, q, note)
+    yield _row(plane, "photo-response non-uniformity, dark pattern removed", "PRNU.pixel.all_levels", t.prnu, "all levels")
+
+
+def _dark_rows(darks: Sequence[Capture], roi: Roi | None, result: PhotonTransfer) -> Iterable[EmvaRow]:
+    for plane, d in dark_analysis(darks, roi).items():
+        gain = result[plane].gain_dn_per_e
+        level = d.levels[0][1]
+        for name, part in (
+            ("total", level.fixed.total),
+            ("row", level.fixed.row),
+            ("column", level.fixed.column),
+            ("pixel", level.dsnu_variance),
+        ):
+            symbol = "DSNU1288" + ("" if name == "total" else f".{name}")
+            yield _row(plane, f"dark signal non-uniformity, {name}", symbol, _ratio(root(part, "DN"), gain, "e-"), "signed")
+        yield _row(plane, "dark current from the mean", "mu_c.mean", _ratio(d.dark_current_dn_per_s, gain, "e-/s"))
+        squared = Quantity(gain.value**2, 2 * gain.value * gain.sigma, "DN^2/e-")
+        yield _row(
+            plane, "dark current from the variance", "mu_c.var", _ratio(d.dark_current_variance_dn2_per_s, squared, "e-/s")
+        )
+
+
+def signal_to_noise(t: PlaneTransfer, electrons: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Signal-to-noise curve SNR(mu) of one pixel with temporal noise and PRNU, (levels,)."""
+    mu = np.asarray(electrons, dtype=float)
+    prnu = t.prnu.value / 100 if math.isfinite(t.prnu.value) else 0.0
+    noise = mu + t.read_noise_e.value**2 + 1 / 12 / t.gain_dn_per_e.value**2 + (prnu * mu) ** 2
+    return np.asarray(mu / np.sqrt(noise))

@@ -1,0 +1,278 @@
+"""Capture quality: is a set of captures fit for an analysis, and if not, why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
+from isetval.core.errors import InputError
+from isetval.measure.noise.codes import code_statistics
+from isetval.measure.noise.grouping import frame_mean, frame_noise
+from isetval.measure.noise.moments import frame_moments
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Float = NDArray[np.float64]
+FATAL = ("all_equal", "clipped_at_white", "clipped_at_zero", "mostly_black", "frames_identical")
+LARGEST = 1024
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One remark: reason code, where, value found, value wanted, and what to do."""
+
+    code: str
+    where: str
+    value: float
+    limit: float
+    advice: str
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Verdict ``good``, ``usable`` (read the findings) or ``unusable``, and the findings behind it.
+
+    ``rejected`` are the numbers of the captures that no analysis should use; all of them make the set unusable.
+    """
+
+    verdict: str
+    findings: tuple[Finding, ...]
+    rejected: tuple[int, ...] = ()
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Reason codes, each once."""
+        return tuple(dict.fromkeys(f.code for f in self.findings))
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a finding."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(f) for f in self.findings], columns=list(Finding.__dataclass_fields__))
+
+
+def quality(captures: Sequence[Capture] | Capture, roi: Roi | None = None) -> Quality:
+    """Judge captures before any number is taken from them.
+
+    Parameters
+    ----------
+    captures : Capture or sequence of Capture
+        Frames in the order they were taken; flats, darks or scenes.
+    roi : (row0, row1, col0, col1), optional
+        Region on the mosaic.
+
+    Returns
+    -------
+    Quality
+        Looks for: all values equal, repeated frames, clipping at white and at zero, black level against the darkest
+        values, missing codes, bad first or last rows and columns, CFA order (the greens must be alike), drift and
+        flicker among frames of one exposure, and means that are not linear in exposure time (hidden digital gain).
+    """
+    frames = [captures] if isinstance(captures, Capture) else list(captures)
+    if not frames:
+        raise InputError("no captures were given; at least one frame is needed")
+    findings: list[Finding] = []
+    for number, capture in enumerate(frames):
+        findings += _single(capture, roi, f"capture {number}")
+    findings += _series(frames, roi)
+    rejected = tuple(
+        i for i in range(len(frames)) if any(f.code in FATAL and f.where.split(",")[0] == f"capture {i}" for f in findings)
+    )
+    verdict = "unusable" if len(rejected) == len(frames) else "usable" if findings else "good"
+    return Quality(verdict, tuple(findings), rejected)
+
+
+def _single(capture: Capture, roi: Roi | None, where: str) -> list[Finding]:
+    out: list[Finding] = []
+    planes = {p: plane_view(capture, p, roi)[0] for p in planes_of(capture)}
+    if all(view.size == 0 or view.min() == view.max() for view in planes.values()):
+        value = float(capture.mosaic.flat[0]) if capture.mosaic.size else math.nan
+        if value >= capture.sensor.white_dn:
+            return [Finding("clipped_at_white", where, 1.0, 1e-3, "shorten the exposure")]
+        return [Finding("all_equal", where, value, math.nan, "the file holds no picture; read or shoot it again")]
+    for plane, view in planes.items():
+        place = f"{where}, plane {plane}"
+        codes = code_statistics([view], capture.sensor.white_dn)
+        high, low = codes["clipped_high_fraction"].value, codes["clipped_low_fraction"].value
+        if high > 1e-3:
+            out.append(
+                Finding("clipped_at_white" if high > 0.01 else "some_clipped_at_white", place, high, 1e-3, "shorten the exposure")
+            )
+        if low > 1e-3 and plane_black_dn(capture, plane) < 1e9:
+            out.append(_low_clip(place, low))
+        missing = codes["missing_code_fraction"]
+        if missing.value > max(0.05, 3 * missing.sigma):
+            advice = "raw codes are missing: digital gain, a linearization table or a rounded conversion"
+            out.append(Finding("missing_codes", place, missing.value, 0.05, advice))
+        out += _black(capture, plane, view, place)
+        out += _edges(view, place)
+    out += _greens(planes, capture, where)
+    return out
+
+
+def _low_clip(place: str, share: float) -> Finding:
+    code = "clipped_at_zero" if share > 0.1 else "some_clipped_at_zero"
+    return Finding(
+        code, place, share, 1e-3, "the black pedestal is missing or was subtracted; noise and black level of darks are wrong"
+    )
+
+
+def _black(capture: Capture, plane: str, view: NDArray[np.uint16], place: str) -> list[Finding]:
+    black = plane_black_dn(capture, plane)
+    darkest = float(np.percentile(view.ravel()[:: max(1, view.size // 50000)], 0.5))
+    noise = frame_noise(capture)
+    if darkest < black - max(8 * noise, 0.05 * capture.sensor.white_dn):
+        return [
+            Finding("values_below_black", place, darkest, black, "the black level is too high, or black was subtracted already")
+        ]
+    mean = float(view.mean(dtype=np.float64))
+    spread = float(view.std(dtype=np.float64))
+    if abs(mean - black) < 3 * spread and spread < 3 * noise and abs(mean - black) > max(0.5, 0.25 * noise):
+        return [
+            Finding("black_level_differs_from_tag", place, mean, black, "take the black level from dark frames of the same mode")
+        ]
+    return []
+
+
+def _edges(view: NDArray[np.uint16], place: str) -> list[Finding]:
+    """First and last rows and columns against the next ones inside."""
+    if min(view.shape) < 8:
+        return []
+    out = []
+    values = view.astype(np.float32)
+    steps = {"first row": (values[0], values[2]), "last row": (values[-1], values[-3])}
+    steps |= {"first column": (values[:, 0], values[:, 2]), "last column": (values[:, -1], values[:, -3])}
+    inner = values[values.shape[0] // 2]
+    normal = float(np.median(np.abs(inner[2:] - inner[:-2]))) + 1.0
+    for name, (outer, inside) in steps.items():
+        step = float(np.mean(np.abs(outer - inside)))
+        shift = abs(float(np.mean(outer - inside)))
+        if (
+            step > 8 * normal
+            or shift > 2 * normal + 4 * normal / math.sqrt(outer.size)
+            or (np.ptp(outer) == 0 and np.ptp(inside) > 0)
+        ):
+            out.append(Finding("bad_border", f"{place}, {name}", step, 8 * normal, "leave the border out of the region"))
+    return out
+
+
+def _greens(planes: dict[str, NDArray[np.uint16]], capture: Capture, where: str) -> list[Finding]:
+    """On a Bayer mosaic the two greens are the pair that is most alike."""
+    if "Gr" not in planes or min(v.size for v in planes.values()) < 16:
+        return []
+    rows = min(v.shape[0] for v in planes.values())
+    cols = min(v.shape[1] for v in planes.values())
+    level = {p: v[:rows, :cols].astype(np.float64) - plane_black_dn(capture, p) for p, v in planes.items()}
+    mean = {p: float(v.mean()) for p, v in level.items()}
+    noise = frame_noise(capture) / math.sqrt(rows * cols)
+    if min(mean.values()) < 20 * noise or max(mean.values()) < 1.1 * min(mean.values()):
+        return []
+    greens = float(np.mean(np.abs(level["Gr"] - level["Gb"])))
+    others = min(
+        float(np.mean(np.abs(level[a] - level[b]))) for a, b in (("R", "Gr"), ("R", "Gb"), ("B", "Gr"), ("B", "Gb"), ("R", "B"))
+    )
+    step = abs(mean["Gr"] - mean["Gb"]) / max(mean["Gr"], mean["Gb"])
+    if step > 0.05 and greens > 1.5 * others:
+        return [
+            Finding(
+                "cfa_order_doubtful",
+                where,
+                step,
+                0.05,
+                "the planes called green differ; check the CFA pattern and the crop's phase",
+            )
+        ]
+    return []
+
+
+def _series(frames: Sequence[Capture], roi: Roi | None) -> list[Finding]:
+    out: list[Finding] = []
+    mosaics = [f.mosaic for f in frames]
+    for i in range(1, len(frames)):
+        if mosaics[i].shape == mosaics[i - 1].shape and np.array_equal(mosaics[i], mosaics[i - 1]):
+            out.append(
+                Finding(
+                    "frames_identical",
+                    f"capture {i}, capture {i - 1}",
+                    0.0,
+                    1.0,
+                    "the same frame twice carries no noise; drop one",
+                )
+            )
+    times: dict[float | None, list[int]] = {}
+    for i, frame in enumerate(frames):
+        times.setdefault(frame.exposure.time_s, []).append(i)
+    means = np.array([frame_mean(frame, roi) for frame in frames])
+    for time, index in times.items():
+        if len(index) > 1:
+            out += _same_exposure([frames[i] for i in index], means[index], time, roi)
+    known = [i for i, f in enumerate(frames) if f.exposure.time_s is not None]
+    out += _linearity(np.array([frames[i].exposure.time_s for i in known], dtype=float), means[known])
+    return out
+
+
+def _same_exposure(frames: Sequence[Capture], means: Float, time: float | None, roi: Roi | None) -> list[Finding]:
+    """Drift and flicker among frames of one exposure (not among different scenes or light levels)."""
+    place = f"frames of {time} s"
+    same_shape = all(f.mosaic.shape == frames[0].mosaic.shape for f in frames)
+    level = float(np.mean(means))
+    if not same_shape or np.ptp(means) > 0.2 * max(abs(level), 1.0):
+        return []
+    plane = planes_of(frames[0])[0]
+    views = [_limited(plane_view(f, plane, roi)[0]) for f in frames]
+    moments = frame_moments(views, plane_black_dn(frames[0], plane))
+    noise = math.sqrt(max(moments.temporal.value, 1 / 12))
+    pixels = frames[0].mosaic.size
+    out = []
+    scatter = float(np.std(means, ddof=1))
+    if scatter > max(0.002 * abs(level), 6 * noise / math.sqrt(pixels)):
+        trend = abs(float(np.corrcoef(np.arange(means.size), means)[0, 1])) if means.size > 3 else 0.0
+        code = "drift" if trend > 0.9 else "frame_flicker"
+        out.append(
+            Finding(code, place, scatter, 0.002 * abs(level), "let lamp and sensor settle; frames are scaled, which covers 1 %")
+        )
+    rows, cols = moments.shape
+    rest = moments.row_means - moments.row_means.mean(axis=0)
+    rest = rest - rest.mean(axis=1)[:, None]
+    smooth = np.array([np.convolve(r, np.ones(8) / 8, mode="valid") for r in rest]) if rows >= 16 else rest
+    banding = float(np.mean(smooth**2))
+    by_chance = moments.temporal.value / cols / 8 * (1 - 1 / moments.frames)
+    if level > 5 * noise and banding > 2.5 * by_chance + (5e-4 * level) ** 2:
+        advice = "expose for a whole number of mains periods or use direct-current light"
+        out.append(Finding("row_flicker", place, math.sqrt(banding) / level, 5e-4, advice))
+    return out
+
+
+def _limited(view: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    return view[:LARGEST, :LARGEST]
+
+
+def _linearity(times: Float, means: Float) -> list[Finding]:
+    """Means in proportion to exposure time; a step in DN per second betrays gain that the file does not tell."""
+    unique = np.unique(times)
+    if unique.size < 3:
+        return []
+    level = np.array([np.median(means[times == t]) for t in unique])
+    spread = max(np.ptp(means[times == t]) for t in unique)
+    lit = level > max(0.02 * level.max(), 3.0)
+    if lit.sum() < 3 or spread > 0.3 * level.max():
+        return []
+    rate = level[lit] / unique[lit]
+    steps = np.abs(np.diff(np.log(np.maximum(rate, 1e-12))))
+    worst = float(steps.max())
+    if worst < 0.08:
+        return []
+    k = int(np.argmax(steps))
+    place = f"between {unique[lit][k]:g} s and {unique[lit][k + 1]:g} s"
+    if k == steps.size - 1 and rate[-1] < rate[-2]:
+        return [Finding("saturation_or_strong_nonlinearity", place, worst, 0.08, "leave the longest exposure out")]
+    return [
+        Finding("not_linear_in_time", place, worst, 0.08, "a digital gain or a change of light is hidden between these exposures")
+    ]
