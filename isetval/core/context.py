@@ -21,7 +21,8 @@ _KIND = {"sensor": 0, "frame": 1}
 class Context:
     """Where and how a signal is exposed.
 
-    ``window`` is (row0, col0, rows, cols) on the sensor.  ``nuisance`` holds the shot's unknowns
+    ``window`` is (row0, col0, rows, cols) on the sensor: the part being computed; ``shot_window`` is
+    the whole of the shot (None: the same).  ``nuisance`` holds the shot's unknowns
     (light level, focus ...) as drawn or fitted.  ``mean_irradiance`` is the mean of the whole field,
     (bands,), for effects that scatter light over the field.  ``mode`` is *capture* (exact Poisson),
     *derivative* (common random numbers, see `poisson`) or *expected* (no frame noise).
@@ -42,6 +43,7 @@ class Context:
     sensor_seed: int = 0
     frame: int = 0
     mode: Mode = "capture"
+    shot_window: tuple[int, int, int, int] | None = None
     effect_key: tuple[int, int] = (0, 0)
     previous: Float | None = None
     poisson_gaussian: bool = True
@@ -62,13 +64,23 @@ class Context:
         y: Float = (row0 + np.arange(rows, dtype=np.float64) - (self.sensor.rows - 1) / 2) * pitch
         return x[None, :], y[:, None]
 
+    def place_in_shot(self) -> tuple[Float, Float]:
+        """Places (row (rows, 1), col (1, cols)) of the pixels inside the shot's whole window."""
+        row0, col0, rows, cols = self.window
+        top, left = (self.shot_window or self.window)[:2]
+        return (row0 - top + np.arange(rows, dtype=float))[:, None], (col0 - left + np.arange(cols, dtype=float))[None, :]
+
+    def shot_shape(self) -> tuple[int, int]:
+        """Rows and columns of the shot's whole window."""
+        return (self.shot_window or self.window)[2:]
+
     def field_radius(self) -> Float:
         """Field radius (rows, cols) as a fraction of the half diagonal."""
         x, y = self.xy_mm()
         return np.asarray(np.hypot(x, y) / self.sensor.half_diagonal_mm)
 
     def center_mm(self) -> tuple[float, float]:
-        """(x, y) in mm of the window's middle."""
+        """Place (x, y) in mm of the window's middle."""
         x, y = self.xy_mm()
         return float(x.mean()), float(y.mean())
 

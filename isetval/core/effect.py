@@ -88,6 +88,7 @@ class Effect:
     reference: ClassVar[str] = ""
     candidate: ClassVar[bool] = True
     halo_px: ClassVar[int] = 0
+    uses_mean_irradiance: ClassVar[bool] = False
 
     source: str = ""
     fitted_to: tuple[str, ...] = ()

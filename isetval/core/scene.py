@@ -24,7 +24,8 @@ class EdgeTarget:
     ``angle_deg`` is the tilt of the edge away from the column axis (orientation *vertical*) or from
     the row axis (*horizontal*), positive when the edge moves to higher columns (rows) with the row
     (column).  ``offset_px`` is (row, col) of a point of the edge from the window's middle.
-    ``dark_side`` is *low* (small columns or rows are dark) or *high*.  ``roi`` is (row0, row1, col0,
+    ``dark_side`` is *low* (small columns or rows are dark) or *high*.  ``surround`` is the mean reflectance of all
+    that the camera sees around the window (None: the mean of both sides); it feeds veiling glare.  ``roi`` is (row0, row1, col0,
     col1) in the window; None is the whole window.
     """
 
@@ -35,6 +36,7 @@ class EdgeTarget:
     dark_side: str = "low"
     dark_reflectance: Spectrum = field(default_factory=lambda: Spectrum.flat(0.05))
     bright_reflectance: Spectrum = field(default_factory=lambda: Spectrum.flat(0.8))
+    surround: Spectrum | None = None
     roi: Box | None = None
 
     def __post_init__(self) -> None:

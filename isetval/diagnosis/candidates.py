@@ -1,0 +1,140 @@
+"""What may be missing: effects of the catalogue that are absent, parameters of those that are present."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.effect import Effect, ParameterInfo
+from isetval.effects import catalogue
+from isetval.fit import Free, Problem
+from isetval.model import CameraModel
+from isetval.prediction import Point
+
+Float = NDArray[np.float64]
+STRONG = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect that may be missing, or whose parameters may be wrong.
+
+    ``effect`` is the effect at its null (absent) or as it stands in the model (``present``);
+    ``parameters`` are those that are freed, ``nominal`` their values in the model.
+    """
+
+    name: str
+    effect: Effect
+    parameters: tuple[ParameterInfo, ...]
+    present: bool
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """``effect.parameter`` names."""
+        return tuple(f"{self.name}.{p.name}" for p in self.parameters)
+
+    @property
+    def nominal(self) -> Float:
+        """Parameter values before anything is fitted."""
+        return np.array([self.effect.values()[p.name] for p in self.parameters])
+
+    @property
+    def tau(self) -> Float:
+        """Prior standard deviations."""
+        return np.array([p.tau or 1.0 for p in self.parameters])
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether its single parameter can only grow from where it stands."""
+        return len(self.parameters) == 1 and self.nominal[0] <= self.parameters[0].low
+
+    def model_with(self, model: CameraModel) -> CameraModel:
+        """The model in which the effect exists (at its null where it was absent)."""
+        return model if model.effect(self.name) is not None else model.add(self.effect)
+
+    def free(self, steps: Sequence[float]) -> tuple[Free, ...]:
+        """Its parameters for a fit, with the catalogue's priors."""
+        return tuple(
+            Free(f"{self.name}.{p.name}", p.tau, float(step), center=float(value), low=p.low, high=p.high)
+            for p, step, value in zip(self.parameters, steps, self.nominal, strict=True)
+        )
+
+
+def candidates_for(model: CameraModel) -> tuple[Candidate, ...]:
+    """All candidates of a model, in the order of the catalogue."""
+    out = []
+    for name, cls in sorted(catalogue().items()):
+        if not cls.candidate:
+            continue
+        parameters = tuple(p for p in cls.parameters() if p.tau is not None and not p.shape)
+        if not parameters:
+            continue
+        standing = model.effect(name)
+        if standing is not None:
+            out.append(Candidate(name, standing, parameters, True))
+            continue
+        if any(f for f in cls.files()):
+            continue
+        effect = cls()
+        nulls = {p.name: p.null for p in parameters}
+        out.append(Candidate(name, replace(effect, **nulls), parameters, False))
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """How a candidate would show: raw secants (metrics, parameters) per unit, and the steps they were taken at."""
+
+    candidate: Candidate
+    columns: Float
+    steps: Float
+
+
+def _steps(candidate: Candidate) -> Float:
+    steps = candidate.tau.copy()
+    for i, (p, value) in enumerate(zip(candidate.parameters, candidate.nominal, strict=True)):
+        if value + steps[i] > p.high:
+            steps[i] = -steps[i] if value - steps[i] >= p.low else (p.high - value) / 2
+    return steps
+
+
+def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float) -> list[Signature]:
+    """Signatures by simulation with common random numbers.
+
+    ``project`` (kept rows, k) is an orthonormal basis of what nuisances can do.  A secant that is far
+    outside the linear range (profiled length above 25 sigma) is taken again closer to the null.
+    """
+    steps = [_steps(c) for c in wanted]
+    columns = _secants(problem, point, wanted, steps)
+    again = []
+    for i, column in enumerate(columns):
+        length = np.linalg.norm(_profiled(problem, column * steps[i], project), axis=0)
+        if np.any(length > STRONG):
+            steps[i] = steps[i] * np.where(length > STRONG, np.sqrt(10.0 / np.maximum(length, 1e-9)), 1.0)
+            again.append(i)
+    if again:
+        for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
+            columns[i] = column
+    return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
+
+
+def _profiled(problem: Problem, columns: Float, project: Float) -> Float:
+    white = problem.whitened(columns)
+    return np.asarray(white - project @ (project.T @ white))
+
+
+def _secants(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: Sequence[Float]) -> list[Float]:
+    points = [point]
+    for candidate, step in zip(wanted, steps, strict=True):
+        model = candidate.model_with(point.model)
+        for key, value, h in zip(candidate.keys, candidate.nominal, step, strict=True):
+            points.append(Point(model.with_values({key: value + h}), point.values))
+    vectors = iter(problem.predictor.derivative_vectors(points))
+    here = next(vectors)
+    out = []
+    for step in steps:
+        out.append(np.column_stack([(next(vectors) - here) / h for h in step]))
+    return [np.nan_to_num(column) for column in out]

@@ -1,0 +1,148 @@
+"""The outsider test: patterns without physics, scored on what is left over.
+
+Per metric family: mean, slope and curvature along every condition that varies, and single field points,
+patches, lights, channels and orientations.  A pattern that still stands out when every effect of the
+catalogue has been tried says "none of those I know", and says where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.metric import Metric
+from isetval.diagnosis.profile import Frame, Score, score
+from isetval.fit import Problem
+
+Float = NDArray[np.float64]
+AXES = {
+    "level": "light level",
+    "exposure_s": "exposure time",
+    "radius": "field radius",
+    "field_x_mm": "x",
+    "field_y_mm": "y",
+    "frequency_cy_px": "frequency",
+    "focus_um": "focus",
+}
+GROUPS = {
+    "channel": "channel",
+    "orientation": "orientation",
+    "light": "light",
+    "patch": "patch",
+    "setup": "set-up",
+    "region": "region",
+}
+MAX_PER_GROUP = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A pattern over the metrics: ``values`` (metrics,) and what it says in words."""
+
+    words: str
+    values: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """A pattern that stands out of the residual."""
+
+    words: str
+    score: Score
+    p_corrected: float
+
+
+def templates(metrics: Sequence[Metric], predicted: Float, sigma: Float) -> Iterator[Template]:
+    """All patterns for a table; amplitudes are relative to the predicted value and in units of sigma."""
+    families = np.array([m.family for m in metrics])
+    size = np.where(np.abs(predicted) > 3 * sigma, np.abs(predicted), sigma)
+    for family in dict.fromkeys(families):
+        member = families == family
+        for amplitude, kind in ((size, "in proportion"), (sigma, "by sigma")):
+            base = np.where(member & np.isfinite(amplitude), amplitude, 0.0)
+            yield Template(f"{family}: all values ({kind})", base)
+            yield from _along_axes(metrics, family, member, base)
+        yield from _groups(metrics, family, member, np.where(member & np.isfinite(size), size, 0.0))
+
+
+def _axis(metrics: Sequence[Metric], name: str) -> Float:
+    if name == "radius":
+        return np.array([np.hypot(m.field_x_mm or 0.0, m.field_y_mm or 0.0) for m in metrics])
+    return np.array([np.nan if getattr(m, name) is None else float(getattr(m, name)) for m in metrics])
+
+
+def _along_axes(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+    for name, words in AXES.items():
+        x = _axis(metrics, name)
+        use = member & np.isfinite(x)
+        if use.sum() < 3 or np.ptp(x[use]) <= 1e-9 * max(abs(x[use]).max(), 1e-12):
+            continue
+        middle, half = (x[use].max() + x[use].min()) / 2, np.ptp(x[use]) / 2
+        t = np.where(use, (x - middle) / half, 0.0)
+        yield Template(f"{family} changes along {words}", base * t)
+        if np.unique(np.round(t[use], 6)).size > 2:
+            yield Template(f"{family} bends along {words}", base * np.where(use, t**2 - np.mean(t[use] ** 2), 0.0))
+
+
+def _groups(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+    for name, words in GROUPS.items():
+        labels = np.array([str(getattr(m, name)) for m in metrics])
+        found = [label for label in dict.fromkeys(labels[member]) if label]
+        if not 1 < len(found) <= MAX_PER_GROUP:
+            continue
+        for label in found:
+            yield Template(f"{family} differs for {words} {label}", np.where(labels == label, base, 0.0))
+            if name == "orientation":
+                radius = _axis(metrics, "radius")
+                yield Template(
+                    f"{family} of {label} edges differs and grows with field radius",
+                    np.where(labels == label, base * radius, 0.0),
+                )
+
+
+def findings(problem: Problem, frame: Frame, *, alpha: float = 0.01, limit: int = 5) -> list[Finding]:
+    """Patterns whose profiled score survives the look-elsewhere correction, strongest first."""
+    metrics = problem.predictor.table.metrics
+    sigma = np.sqrt(np.diag(problem.base.covariance))
+    columns, words = [], []
+    for template in templates(metrics, problem.base.mean, sigma):
+        white = problem.whitened(np.nan_to_num(template.values))
+        if np.linalg.norm(white) > 0:
+            columns.append(white)
+            words.append(template.words)
+    if not columns:
+        return []
+    part = frame.profiled(np.column_stack(columns))
+    size = np.linalg.norm(part, axis=0)
+    gain = np.where(size > 1e-6, (part.T @ frame.z) / np.maximum(size, 1e-12), 0.0) ** 2
+    from scipy.stats import chi2
+
+    out = []
+    for i in np.argsort(gain)[::-1][:limit]:
+        p = min(1.0, float(chi2.sf(gain[i], 1)) * len(columns))
+        if p < alpha:
+            out.append(Finding(words[i], score(frame, columns[i][:, None]), p))
+    return out
+
+
+def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01) -> list[str]:
+    """Families whose residual scatters more than its covariance, after allowing 10 % in sigma."""
+    from scipy.stats import chi2
+
+    metrics = problem.predictor.table.metrics
+    families = np.array([metrics[i].family for i in problem.keep])
+    names = list(dict.fromkeys(families))
+    covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
+    out = []
+    for family in names:
+        rows = problem.keep[families == family]
+        block = covariance[np.ix_(rows, rows)]
+        r = residual[rows]
+        values = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), r)
+        square, n = float(r @ values), rows.size
+        if chi2.sf(square / 1.21, n) * len(names) < alpha:
+            out.append(f"{family} scatters {np.sqrt(square / n):.2f} times as much as its sigma says ({n} values)")
+    return out

@@ -1,0 +1,6 @@
+"""Analyses of single shots: each module of this folder states ``ROLES`` and ``analyze(shot, captures, choices)``.
+
+`isetval.measure.campaign` scans the folder; a new analysis is one new file.  ``analyze`` returns a
+`Block` of metrics with their joint covariance; what it chose from the data it puts into
+``Block.choices`` and takes from ``choices`` when they are given.
+"""

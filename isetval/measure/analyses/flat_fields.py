@@ -1,0 +1,111 @@
+"""Flats and darks: means, temporal and fixed variances, neighbour covariance, per colour plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from isetval.core.campaign import Shot
+from isetval.core.capture import Capture
+from isetval.core.metric import Block, Metric
+from isetval.measure.conditions import metric, shot_conditions, window_label
+from isetval.measure.noise.quantity import Quantity
+from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics
+
+ROLES = ("dark", "flat")
+QUANTITIES = {
+    "mean_dn": ("mean", "DN"),
+    "trimmed_temporal_variance_dn2": ("temporal_variance", "DN^2"),
+    "row_temporal_variance_dn2": ("row_noise_variance", "DN^2"),
+    "fixed_pixel_variance_dn2": ("fixed_pixel_variance", "DN^2"),
+    "fixed_row_variance_dn2": ("fixed_row_variance", "DN^2"),
+    "fixed_column_variance_dn2": ("fixed_column_variance", "DN^2"),
+    "gradient_row_dn": ("gradient", "DN"),
+    "gradient_column_dn": ("gradient", "DN"),
+}
+COUNTS = {"outlier_fraction": "outliers", "noisy_pixel_fraction": "noisy_pixels"}
+
+
+def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
+    """Statistics of all frames of one dark or flat shot; nothing is chosen from the data."""
+    statistics = (dark_statistics if shot.role == "dark" else flat_statistics)(captures)
+    conditions = shot_conditions(shot, captures[0].sensor)
+    rows: list[Metric] = []
+    links: list[tuple[str, list[int], list[int]]] = []
+    shared: dict[str, list[tuple[int, float]]] = {}
+    for plane, plane_statistics in statistics.items():
+        if plane == "mosaic":
+            rows += _neighbours(shot, conditions, plane_statistics)
+            continue
+        names = list(plane_statistics)
+        here, there = [], []
+        for key, (name, unit) in QUANTITIES.items():
+            quantity = plane_statistics[key]
+            if not (math.isfinite(quantity.value) and math.isfinite(quantity.sigma)):
+                continue
+            here.append(len(rows))
+            there.append(names.index(key))
+            if quantity.shared > 0:
+                label = f"{shot.role}:{name}:{plane}:{window_label(shot)}"
+                shared.setdefault(label, []).append((len(rows), quantity.shared))
+            region = key.removeprefix("gradient_").removesuffix("_dn") if name == "gradient" else ""
+            rows.append(
+                metric(
+                    conditions,
+                    name,
+                    quantity.value,
+                    quantity.sigma,
+                    unit,
+                    channel=plane,
+                    region=region,
+                    family=f"{shot.role}_{name}",
+                )
+            )
+        links.append((plane, here, there))
+        rows += _counts(shot, conditions, plane, plane_statistics)
+    correlation = np.eye(len(rows))
+    for plane, here, there in links:
+        correlation[np.ix_(here, here)] = statistics[plane].correlation[np.ix_(there, there)]
+    columns = {label: _column(entries, len(rows)) for label, entries in shared.items()}
+    return Block(tuple(rows), correlation, columns)
+
+
+def _column(entries: list[tuple[int, float]], n: int) -> Any:
+    out = np.zeros(n)
+    for row, loading in entries:
+        out[row] = loading
+    return out
+
+
+def _neighbours(shot: Shot, conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metric]:
+    """Neighbour covariance of the temporal noise: mean over the colour pairs, per direction."""
+    rows = []
+    for direction in ("h", "v"):
+        parts = [statistics[name] for name in statistics if name.startswith(f"covariance_{direction}")]
+        pooled = _mean(parts)
+        if math.isfinite(pooled.value):
+            family = f"{shot.role}_neighbour_covariance"
+            rows.append(
+                metric(conditions, "neighbour_covariance", pooled.value, pooled.sigma, "DN^2", region=direction, family=family)
+            )
+    return rows
+
+
+def _mean(parts: Sequence[Quantity]) -> Quantity:
+    n = max(len(parts), 1)
+    sigma = math.sqrt(sum(part.sigma**2 for part in parts)) / n
+    return Quantity(sum(part.value for part in parts) / n if parts else math.nan, sigma, "DN^2")
+
+
+def _counts(shot: Shot, conditions: dict[str, Any], plane: str, statistics: PlaneStatistics) -> list[Metric]:
+    """Numbers of outlying and of noisy pixels, as ``2 sqrt(n + 3/8)``: near-Gaussian with sigma 1 (Anscombe)."""
+    rows = []
+    for key, name in COUNTS.items():
+        fraction = statistics[key].value
+        if math.isfinite(fraction):
+            root = 2 * math.sqrt(fraction * statistics.pixels + 0.375)
+            rows.append(metric(conditions, name, root, 1.0, "2 sqrt(count + 3/8)", channel=plane, family=f"{shot.role}_{name}"))
+    return rows

@@ -1,0 +1,233 @@
+"""What a model predicts for the metrics of a campaign: its plan shot and measured by the same estimators.
+
+The prediction is the mean of several simulated campaigns at the nominal model, plus the difference that
+other parameters make with common random numbers (the same streams on both sides).  Only shots whose
+light or electronics a parameter changes are simulated again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.chain import FRONT, ShotSetup, mean_electrons
+from isetval.core.campaign import Campaign, Shot
+from isetval.core.errors import InputError
+from isetval.core.metric import Block, MetricTable
+from isetval.measure.campaign import measure_shot
+from isetval.model import CameraModel
+from isetval.shooting import camera_with, expose, shot_setup
+
+Float = NDArray[np.float64]
+REPLICAS = 10
+DERIVATIVE_SEEDS = (101, 102)
+BASE_SEED = 7_000
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where a prediction is made: a model and values of the nuisances."""
+
+    model: CameraModel
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class ShotPart:
+    """What one worker needs to shoot and measure one shot."""
+
+    model: CameraModel
+    setup: ShotSetup
+    seed: int
+    derivative: bool
+    choices: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """Mean and covariance of the metrics at the nominal point, from ``replicas`` simulated campaigns.
+
+    ``values`` is (replicas, metrics); ``covariance`` (metrics, metrics) is of one campaign, scaled by
+    family to the scatter that the replicas show; ``scale`` holds those factors of sigma.
+    """
+
+    mean: Float
+    covariance: Float
+    values: Float
+    scale: Mapping[str, float]
+
+    @property
+    def replicas(self) -> int:
+        """Number of simulated campaigns."""
+        return len(self.values)
+
+
+class Predictor:
+    """Predicts the rows of a measured table for any point; remembers every simulated shot.
+
+    Parameters
+    ----------
+    plan : Campaign
+        Its captures are not used.
+    table : MetricTable
+        The measured rows: predictions come in their order, made with their choices.
+    jobs : int
+        Worker processes; 1 computes in this process.
+    """
+
+    def __init__(self, plan: Campaign, table: MetricTable, *, jobs: int = 1) -> None:
+        self.plan = plan.as_plan()
+        self.table = table
+        self.keys = [m.key() for m in table.metrics]
+        self.place = {key: i for i, key in enumerate(self.keys)}
+        measured = {m.shot for m in table.metrics}
+        self.shots = tuple(shot for shot in self.plan.shots if shot.name in measured)
+        self.rows = {shot.name: np.array([i for i, m in enumerate(table.metrics) if m.shot == shot.name]) for shot in self.shots}
+        self.jobs = max(1, min(jobs, os.cpu_count() or 1))
+        self._memo: dict[Any, Float] = {}
+        self._pools: list[ProcessPoolExecutor] = []
+
+    def close(self) -> None:
+        """Stop the workers."""
+        for pool in self._pools:
+            pool.shutdown(wait=False, cancel_futures=True)
+        self._pools = []
+
+    def parts(self, point: Point, seed: int, *, derivative: bool) -> list[ShotPart]:
+        """The shots of a point, each with its choices."""
+        camera = camera_with(point.model, self.plan, point.values)
+        return [self._part(camera, shot, point.values, seed, derivative) for shot in self.shots]
+
+    def _part(self, camera: CameraModel, shot: Shot, values: Mapping[str, float], seed: int, derivative: bool) -> ShotPart:
+        choices = {key: made for key, made in self.table.choices.items() if key.startswith(f"{shot.name}/")}
+        return ShotPart(camera, shot_setup(self.plan, shot, values), seed, derivative, choices)
+
+    def derivative_vectors(self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS) -> list[Float]:
+        """Metrics (metrics,) at each point, mean over ``seeds`` of common random numbers."""
+        tasks = [part for point in points for seed in seeds for part in self.parts(point, seed, derivative=True)]
+        results = iter(self._vectors(tasks))
+        out = []
+        for _ in points:
+            total = np.zeros(len(self.keys))
+            for _ in seeds:
+                for shot in self.shots:
+                    total[self.rows[shot.name]] += next(results)
+            out.append(total / len(seeds))
+        return out
+
+    def base(self, point: Point, replicas: int = REPLICAS) -> Base:
+        """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen."""
+        tasks = [part for r in range(replicas) for part in self.parts(point, BASE_SEED + r, derivative=False)]
+        blocks = iter(self._run(_blocks_of, tasks))
+        tables = [MetricTable(tuple(b for _ in self.shots for b in next(blocks))) for _ in range(replicas)]
+        order = [self._order(table) for table in tables]
+        values = np.array([np.append(t.values, np.nan)[o] for t, o in zip(tables, order, strict=True)])
+        covariance = np.mean([_ordered(t.covariance(), o) for t, o in zip(tables, order, strict=True)], axis=0)
+        scale = self._scatter(values, covariance)
+        factor = np.array([scale[m.family] for m in self.table.metrics])
+        return Base(values.mean(axis=0), covariance * np.outer(factor, factor), values, scale)
+
+    def _order(self, table: MetricTable) -> NDArray[np.intp]:
+        place = {m.key(): i for i, m in enumerate(table.metrics)}
+        return np.array([place.get(key, -1) for key in self.keys])
+
+    def _scatter(self, values: Float, covariance: Float) -> dict[str, float]:
+        """Ratio of the replicas' scatter to the stated sigma per family, drawn towards 1 by 40 numbers."""
+        variance = np.diag(covariance)
+        square = values.var(axis=0, ddof=1) / np.where(variance > 0, variance, np.nan)
+        families = np.array([m.family for m in self.table.metrics])
+        out = {}
+        for family in dict.fromkeys(families):
+            part = square[(families == family) & np.isfinite(square)]
+            dof = part.size * (len(values) - 1)
+            out[str(family)] = float(np.sqrt((part.sum() * (len(values) - 1) + 40) / (dof + 40)))
+        return out
+
+    def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
+        """Measured values of each task; equal content is simulated once."""
+        keys = [_content(task) for task in tasks]
+        missing: dict[Any, ShotPart] = {}
+        for key, task in zip(keys, tasks, strict=True):
+            if key not in self._memo:
+                missing.setdefault(key, task)
+        for key, (digest, vector) in zip(missing, self._run(_vector_of, list(missing.values()), self._rows_of), strict=True):
+            self._memo[key] = vector
+            del digest
+        return [self._memo[key] for key in keys]
+
+    def _rows_of(self, task: ShotPart) -> list[Any]:
+        return [self.keys[i] for i in self.rows[task.setup.shot.name]]
+
+    def _run(self, function: Any, tasks: list[ShotPart], extra: Any = None) -> list[Any]:
+        jobs = [(task, extra(task)) if extra else (task,) for task in tasks]
+        if self.jobs == 1 or len(jobs) < 4:
+            return [function(*job) for job in jobs]
+        if not self._pools:
+            spawn = multiprocessing.get_context("spawn")
+            self._pools = [ProcessPoolExecutor(1, mp_context=spawn) for _ in range(self.jobs)]
+        names = [shot.name for shot in self.shots]
+        futures = [
+            self._pools[names.index(task.setup.shot.name) % self.jobs].submit(function, *job)
+            for task, job in zip(tasks, jobs, strict=True)
+        ]
+        return [future.result() for future in futures]
+
+
+def _content(task: ShotPart) -> Any:
+    """Equal for two tasks that must give the same numbers."""
+    model = task.model
+    front = tuple(e.content() for e in model.effects if e.stage in FRONT)
+    rest = tuple(e.content() for e in model.effects if e.stage not in FRONT)
+    return (model.sensor, front, task.setup.digest(), rest, task.setup.shot.name, task.seed, task.derivative)
+
+
+def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
+    out = covariance[np.ix_(order, order)]
+    out[order < 0] = np.nan
+    out[:, order < 0] = np.nan
+    return np.asarray(out)
+
+
+_SEEN: dict[Any, Float] = {}
+
+
+def _vector_of(task: ShotPart, keys: Sequence[Any]) -> tuple[str, Float]:
+    """Values of ``keys`` for one shot; equal light and electronics are measured once per process."""
+    mean = mean_electrons(task.model, task.setup)
+    digest = hashlib.sha256(mean.tobytes()).hexdigest()
+    rest = tuple(e.content() for e in task.model.effects if e.stage not in FRONT)
+    choices = repr(task.choices)
+    key = (
+        digest,
+        rest,
+        task.setup.shot.name,
+        task.setup.shot.frames,
+        task.seed,
+        task.derivative,
+        choices,
+        len(keys),
+        task.model.sensor,
+    )
+    if key not in _SEEN:
+        if len(_SEEN) > 200_000:
+            _SEEN.clear()
+        values = {m.key(): m.value for block in _blocks_of(task) for m in block.metrics}
+        _SEEN[key] = np.array([values.get(k, np.nan) for k in keys])
+    return digest, _SEEN[key]
+
+
+def _blocks_of(task: ShotPart) -> list[Block]:
+    mode = "derivative" if task.derivative else "capture"
+    captures = expose(task.model, task.setup, task.seed, mode=mode)  # type: ignore[arg-type]
+    try:
+        return [block for _, block in measure_shot(task.setup.shot, captures, choices=task.choices)]
+    except InputError:
+        return []

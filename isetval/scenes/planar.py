@@ -1,0 +1,213 @@
+"""Planar targets without a renderer: uniform fields, slanted edges, charts of uniform patches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.campaign import Light, Shot
+from isetval.core.context import Context
+from isetval.core.errors import InputError
+from isetval.core.scene import ChartTarget, EdgeTarget, Scene
+from isetval.core.signal import Layer, Signal, Transfer
+
+Float = NDArray[np.float64]
+ESF_STEP_PX = 1 / 16
+ESF_HALF_PX = 256
+
+
+def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: Context) -> Scene:
+    """The scene of a shot with its nuisances: light level, spectrum tilt, light field, target."""
+    white = np.zeros_like(wavelength_nm) if light is None else light.radiance.band_means(wavelength_nm)
+    if shot.role == "dark":
+        white = np.zeros_like(wavelength_nm)
+    level = shot.light_level * max(0.0, 1 + context.get("light_level"))
+    spectrum = 1 + context.get("spectrum_tilt") * (wavelength_nm - 550.0) / 100.0
+    return Scene(
+        wavelength_nm=wavelength_nm,
+        white=white * level * np.maximum(spectrum, 0),
+        target=_moved(shot.target, context),
+        tilt=(context.get("light_tilt_x"), context.get("light_tilt_y")),
+        radial=context.get("light_radial"),
+        target_tilt=(context.get("target_tilt_x"), context.get("target_tilt_y")),
+        black=context.get("dark_reflectance"),
+        parameters={"wall_albedo": context.get("wall_albedo")},
+    )
+
+
+def _moved(target: Any, context: Context) -> Any:
+    shift, turn = context.get("edge_shift_px"), context.get("edge_angle_deg")
+    if not isinstance(target, EdgeTarget) or not (shift or turn):
+        return target
+    normal = _normal(target)
+    offset = (target.offset_px[0] + shift * normal[0], target.offset_px[1] + shift * normal[1])
+    return replace(target, offset_px=offset, angle_deg=target.angle_deg + turn)
+
+
+def planar_radiance(scene: Scene, context: Context) -> Signal:
+    """Spectral radiance (bands, rows, cols) that a planar scene sends to each pixel of the window.
+
+    Raises
+    ------
+    InputError
+        For a target that is not planar.
+    """
+    rows, cols = context.window[2:]
+    if scene.target is None:
+        layers = [Layer(scene.white[:, None, None] * light_field(scene, context))]
+    elif isinstance(scene.target, EdgeTarget):
+        layers = _edge_layers(scene, context)
+    elif isinstance(scene.target, ChartTarget):
+        layers = [Layer(_chart(scene, scene.target, context) * _target_field(scene, context))]
+    else:
+        raise InputError(f"target {scene.target.name}: not a planar target; it needs the renderer")
+    if scene.ambient is not None:
+        layers.append(Layer(scene.ambient[:, None, None]))
+    return Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm)
+
+
+def mean_radiance(scene: Scene) -> Float:
+    """Mean spectral radiance (bands,) of all that the camera sees, from the target's surround."""
+    target = scene.target
+    if isinstance(target, EdgeTarget):
+        sides = (target.dark_reflectance.at(scene.wavelength_nm) + target.bright_reflectance.at(scene.wavelength_nm)) / 2
+        mean = scene.white * (sides if target.surround is None else target.surround.at(scene.wavelength_nm))
+    elif isinstance(target, ChartTarget):
+        mean = scene.white * target.surround.at(scene.wavelength_nm)
+    else:
+        mean = scene.white
+    return mean if scene.ambient is None else mean + scene.ambient
+
+
+def light_field(scene: Scene, context: Context) -> Float:
+    """Relative light of a uniform field, (1, rows, cols) or (1, 1, 1): tilt and radial part, in lab axes."""
+    if not (scene.tilt[0] or scene.tilt[1] or scene.radial):
+        return np.ones((1, 1, 1))
+    x, y = context.xy_mm()
+    unit = context.sensor.half_diagonal_mm
+    x, y = x / unit, y / unit
+    turn = np.deg2rad(context.rotation_deg)
+    lab_x, lab_y = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+    field = 1 + scene.tilt[0] * lab_x + scene.tilt[1] * lab_y + scene.radial * (x**2 + y**2)
+    return np.asarray(field[None])
+
+
+def _target_field(scene: Scene, context: Context) -> Float:
+    if not any(scene.target_tilt):
+        return np.ones((1, 1, 1))
+    rows, cols = context.shot_shape()
+    row, col = context.place_in_shot()
+    x, y = (col - (cols - 1) / 2) / max(cols / 2, 1), (row - (rows - 1) / 2) / max(rows / 2, 1)
+    return np.asarray((1 + scene.target_tilt[0] * x + scene.target_tilt[1] * y)[None])
+
+
+def _chart(scene: Scene, target: ChartTarget, context: Context) -> Float:
+    rows, cols = context.window[2:]
+    top, left = (int(place.flat[0]) for place in context.place_in_shot())
+    grid = scene.wavelength_nm
+    table = [target.surround.at(grid)] + [patch.reflectance.at(grid) + scene.gloss for patch in target.patches]
+    label = np.zeros((rows, cols), np.intp)
+    for number, patch in enumerate(target.patches, 1):
+        row0, row1, col0, col1 = patch.box
+        label[max(row0 - top, 0) : max(row1 - top, 0), max(col0 - left, 0) : max(col1 - left, 0)] = number
+    spectra = (np.array(table) * scene.white).T
+    return np.asarray(spectra[:, label])
+
+
+def _edge_layers(scene: Scene, context: Context) -> list[Layer]:
+    target = scene.target
+    assert isinstance(target, EdgeTarget)
+    grid = scene.wavelength_nm
+    dark = scene.white * np.maximum(target.dark_reflectance.at(grid) + scene.black, 0)
+    bright = scene.white * target.bright_reflectance.at(grid)
+    field = _target_field(scene, context)
+    edge = StraightEdge(_normal(target), *_relative(target.offset_px, context), falling=target.dark_side == "high")
+    return [Layer(dark[:, None, None] * field), Layer((bright - dark)[:, None, None] * field, edge)]
+
+
+def _relative(offset_px: tuple[float, float], context: Context) -> tuple[Float, Float]:
+    """Row and column of the pixels from a point that lies ``offset_px`` from the shot's middle."""
+    rows, cols = context.shot_shape()
+    row, col = context.place_in_shot()
+    return row - (rows - 1) / 2 - offset_px[0], col - (cols - 1) / 2 - offset_px[1]
+
+
+def _normal(target: EdgeTarget) -> tuple[float, float]:
+    """Unit normal (row, col) of an edge, towards higher columns (vertical) or rows (horizontal)."""
+    tilt = np.deg2rad(target.angle_deg)
+    if target.orientation == "vertical":
+        return (-float(np.sin(tilt)), float(np.cos(tilt)))
+    return (float(np.cos(tilt)), -float(np.sin(tilt)))
+
+
+@dataclass(frozen=True, eq=False)
+class StraightEdge:
+    """A unit step across a straight edge through the origin; exact for any transfer function.
+
+    ``row_px`` (rows, 1) and ``col_px`` (1, cols) are the pixels' places from a point of the edge.
+
+    The edge spread function is the integral of ``OTF(f n)`` along the edge normal n,
+    ``ESF(d) = 1/2 + int_0^inf 2 Re[OTF(f n) exp(2 pi i f d)] / (2 pi i f) df``, computed once per
+    band on a fine line and interpolated at the distance of each pixel.
+    """
+
+    normal: tuple[float, float]
+    row_px: Float
+    col_px: Float
+    falling: bool = False
+
+    def distance_px(self) -> Float:
+        """Distance (rows, cols) of each pixel's centre from the edge, along the normal."""
+        distance = self.row_px * self.normal[0] + self.col_px * self.normal[1]
+        return np.asarray(-distance if self.falling else distance)
+
+    def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """The blurred step times ``amplitude``, (bands, rows, cols)."""
+        distance = self.distance_px()
+        if transfer is None:
+            return np.asarray(amplitude * np.clip(distance + 0.5, 0, 1)[None])
+        bands = np.array([550.0]) if wavelength_nm is None else wavelength_nm
+        position, curves = self._edge_spread(transfer, bands, float(np.abs(distance).max()))
+        place = (distance - position[0]) / (position[1] - position[0])
+        place = np.clip(place, 1, position.size - 3)
+        index = place.astype(np.intp)
+        return np.asarray(amplitude * _cubic(curves, index, place - index))
+
+    def _edge_spread(self, transfer: Transfer, wavelength_nm: Float, reach_px: float) -> tuple[Float, Float]:
+        sign = -1.0 if self.falling else 1.0
+        n = int(2 * ESF_HALF_PX / ESF_STEP_PX)
+        frequency = np.fft.rfftfreq(n, ESF_STEP_PX)
+        coarse = np.unique(np.concatenate([np.linspace(0, 0.1, 65), np.linspace(0.1, 2.0, 153), np.linspace(2.0, 8.0, 97)]))
+        fy, fx = sign * coarse * self.normal[0], sign * coarse * self.normal[1]
+        otf = np.asarray(transfer(fx[None, :], fy[None, :], wavelength_nm[:, None]))
+        otf = np.broadcast_to(otf, (wavelength_nm.size, coarse.size))
+        full = _interpolated(otf, coarse, frequency)
+        # the periodic line spread less its mean 1/P integrates to ESF - 1/2 - d/P
+        full[:, 1:] /= 2j * np.pi * frequency[1:]
+        full[:, 0] = 0
+        position = (np.arange(n) - n // 2) * ESF_STEP_PX
+        wave = np.fft.fftshift(np.fft.irfft(full, n, axis=1), axes=1) / ESF_STEP_PX
+        esf = 0.5 + position / (2 * ESF_HALF_PX) + wave
+        keep = np.abs(position) <= min(reach_px + 8, ESF_HALF_PX - 16)
+        return position[keep], np.ascontiguousarray(esf[:, keep])
+
+
+def _interpolated(otf: Any, coarse: Float, frequency: Float) -> Any:
+    """Smooth interpolation of a transfer function from a coarse to a fine frequency grid."""
+    from scipy.interpolate import make_interp_spline
+
+    return make_interp_spline(coarse, otf, k=3, axis=1)(frequency).astype(complex)
+
+
+def _cubic(table: Float, index: NDArray[np.intp], t: Float) -> Float:
+    """Cubic Lagrange interpolation of (bands, n) at (rows, cols) places: (bands, rows, cols)."""
+    weights = (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
+    return np.asarray(sum(w * table[:, index + k - 1] for k, w in enumerate(weights)))

@@ -1,0 +1,126 @@
+"""Strict reading of TOML: unknown keys and wrong types are refused with the file and the table."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from isetval.core.errors import InputError
+
+PACKAGE_PREFIX = "isetval:"
+
+
+def data_folder() -> Path:
+    """The folder of embedded data: beside the package in a checkout, inside it in an installed wheel."""
+    package = Path(__file__).resolve().parent
+    inside = package / "data"
+    return inside if inside.is_dir() else package.parent / "data"
+
+
+def resolve_path(name: str, base: Path) -> Path:
+    """A file named in a TOML file: ``isetval:`` is the embedded data, else relative to ``base``."""
+    if name.startswith(PACKAGE_PREFIX):
+        return data_folder() / name.removeprefix(PACKAGE_PREFIX)
+    return Path(name) if Path(name).is_absolute() else base / name
+
+
+def named_path(path: Path, base: Path) -> str:
+    """How a TOML file in ``base`` names ``path``: the inverse of `resolve_path`."""
+    data = data_folder()
+    if path.resolve().is_relative_to(data.resolve()) and not base.resolve().is_relative_to(data.resolve()):
+        return PACKAGE_PREFIX + path.resolve().relative_to(data.resolve()).as_posix()
+    return Path(os.path.relpath(path.resolve(), base.resolve())).as_posix()
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, a folder, not text, or not TOML (with the line).
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; a TOML file is needed")
+    if not path.is_file():
+        raise InputError(f"{path}: the file does not exist; check the path")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file; a TOML file is needed") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def check_keys(table: Any, where: str, *, known: Iterable[str], needed: Iterable[str] = ()) -> Mapping[str, Any]:
+    """``table`` if it is a table with only known and all needed keys."""
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: found {table!r}; a table is needed")
+    known = list(known)
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}: unknown key {key!r}; known are {', '.join(known)}")
+    for key in needed:
+        if key not in table:
+            raise InputError(f"{where}: {key} is missing; add it")
+    return table
+
+
+def number(table: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
+    """A number of a table."""
+    value = table.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}: {key} is {value!r}; it needs a number")
+    return float(value)
+
+
+def text(table: Mapping[str, Any], key: str, where: str, default: str = "") -> str:
+    """A string of a table."""
+    value = table.get(key, default)
+    if not isinstance(value, str):
+        raise InputError(f"{where}: {key} is {value!r}; it needs a text in quotes")
+    return value
+
+
+def texts(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
+    """A list of strings of a table."""
+    value = table.get(key, [])
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+        raise InputError(f"{where}: {key} is {value!r}; it needs a list of texts")
+    return tuple(value)
+
+
+def numbers(table: Mapping[str, Any], key: str, where: str, *, lengths: Iterable[int]) -> tuple[float, ...]:
+    """A list of numbers of a table, of one of the given lengths."""
+    value = table.get(key)
+    wanted = tuple(lengths)
+    fits = isinstance(value, list) and len(value) in wanted
+    if not fits or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value or []):
+        raise InputError(f"{where}: {key} is {value!r}; it needs a list of {' or '.join(map(str, wanted))} numbers")
+    return tuple(float(v) for v in value or [])
+
+
+def write_whole(path: Path | str, content: str | bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or cannot be written.
+    """
+    path = Path(path)
+    data = content.encode("utf-8") if isinstance(content, str) else content
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file to write")
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as handle:
+            handle.write(data)
+        os.chmod(handle.name, 0o644)
+        os.replace(handle.name, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists and is writable") from None
