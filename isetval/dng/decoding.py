@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,6 +19,8 @@ from isetval.dng.structure import RECOPY, Layout
 from isetval.dng.tags import BROKEN, RawTags
 
 SMALLEST_FOR_LIBRAW = 22
+# file descriptor 2 belongs to the whole process: one decoder at a time may hold it
+_STDERR = threading.Lock()
 Mosaic = NDArray[np.uint16]
 
 
@@ -61,7 +64,7 @@ def decode_libraw(path: object, data: bytes, layout: Layout) -> Mosaic:
             "store it with uncompressed 16-bit samples",
         )
     try:
-        with _quiet_stderr(), rawpy.imread(io.BytesIO(data)) as raw:
+        with _STDERR, _quiet_stderr(), rawpy.imread(io.BytesIO(data)) as raw:
             if raw.raw_type != rawpy.RawType.Flat:
                 raise refusal(path, "the decoder sees several samples a pixel", "one raw mosaic")
             return np.array(raw.raw_image, dtype=np.uint16)

@@ -14,8 +14,8 @@ BLACK_TOLERANCE_DN = 0.5
 def place_on_sensor(
     capture: Capture,
     sensor: Sensor,
-    *,
     window: Position = (0, 0),
+    *,
     black_tolerance_dn: float = BLACK_TOLERANCE_DN,
 ) -> Capture:
     """The same pixels as a window of ``sensor``: what a campaign file knows and a cropped DNG does not.

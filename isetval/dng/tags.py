@@ -11,6 +11,7 @@ import math
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -22,8 +23,13 @@ from isetval.core.errors import InputError
 from isetval.core.sensor import BAYER_PATTERNS
 from isetval.dng.refusal import refusal, what_is
 
+# tifffile logs what it also raises; while a file is open here, and only then, it keeps that to itself
+_QUIET: ContextVar[bool] = ContextVar("isetval_dng_quiet", default=False)
+logging.getLogger("tifffile").addFilter(lambda record: not _QUIET.get())
+
 Fractions = tuple[Fraction | None, ...]
-CFA, LINEAR_RAW, INTEGER_SAMPLES = 32803, 34892, 1
+CFA, LINEAR_RAW = 32803, 34892
+UNSIGNED_SAMPLES, UNDEFINED_SAMPLES = 1, 4
 COMPRESSIONS = {1: "none", 7: "lossless JPEG"}
 COMPRESSION_NAMES = {
     5: "LZW",
@@ -117,9 +123,7 @@ def open_tags(path: object, data: bytes) -> Iterator[RawTags]:
     InputError
         If this is not a DNG, holds no such image, or its directories are broken.
     """
-    logger = logging.getLogger("tifffile")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
+    token = _QUIET.set(True)
     try:
         try:
             tiff = tifffile.TiffFile(io.BytesIO(data))
@@ -143,7 +147,7 @@ def open_tags(path: object, data: bytes) -> Iterator[RawTags]:
         finally:
             tiff.close()
     finally:
-        logger.setLevel(level)
+        _QUIET.reset(token)
 
 
 def _tiff_words(data: bytes) -> str:
@@ -179,8 +183,9 @@ def _choose(path: object, candidates: list[Any]) -> Any:
 def _why_not(page: Any) -> str | None:
     photometric = int(page.tags.valueof(262) or 0)
     samples = int(page.tags.valueof(277) or 1)
-    if int(np.max(page.tags.valueof(339) or INTEGER_SAMPLES)) == 3:
-        return "floating-point samples"
+    sample_format = int(np.max(page.tags.valueof(339) or UNSIGNED_SAMPLES))
+    if sample_format not in (UNSIGNED_SAMPLES, UNDEFINED_SAMPLES):
+        return {2: "signed samples", 3: "floating-point samples"}.get(sample_format, f"sample format {sample_format}")
     if photometric == LINEAR_RAW:
         return None if samples == 1 else f"linear RGB, already demosaiced, {samples} samples a pixel"
     if photometric != CFA:

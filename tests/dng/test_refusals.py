@@ -91,6 +91,7 @@ def test_truncated_inside_the_directory(tmp_path):
         ({"t262": (3, [34892]), "t277": (3, [3])}, "linear RGB"),
         ({"t262": (3, [2]), "t277": (3, [3])}, "photometric interpretation 2"),
         ({"t339": (3, [3]), "t258": (3, [32])}, "floating-point"),
+        ({"t339": (3, [2])}, "signed samples"),
         ({"t254": (4, [1])}, "previews only"),
         ({"t259": (3, [8])}, "compression 8 (deflate)"),
         ({"t259": (3, [5])}, "compression 5 (LZW)"),

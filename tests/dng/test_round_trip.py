@@ -1,6 +1,7 @@
 """What is written comes back bit for bit, through this reader and through LibRaw."""
 
 import hashlib
+import json
 import struct
 
 import numpy as np
@@ -9,7 +10,7 @@ import rawpy
 
 import isetval
 from isetval.core.sensor import BAYER_PATTERNS, black_at, pattern_at
-from isetval.dng import DngInfo, as_rational_time, noise_profile, write_dng
+from isetval.dng import DngInfo, as_rational_time, noise_profile, simulation_info, write_dng
 
 BLACKS = [[63.75, 64.25], [64.5, 63.9]]
 
@@ -101,6 +102,14 @@ def test_metadata_comes_back(tmp_path):
     assert said["noise_profile"] == [list(pair)] * 3
     assert said["focal_length_mm"] == 4.38
     assert said["sha256"] == hashlib.sha256((tmp_path / "a.dng").read_bytes()).hexdigest()
+
+
+def test_a_simulation_says_so(tmp_path):
+    info = simulation_info(camera="pixel4a", model_sha256="0123abcd", seed=7, frame=3, noise=[(1e-4, 1e-6)])
+    said = isetval.read_dng(write_dng(tmp_path / "a.dng", random_capture(), info=info)).provenance
+    assert (said["make"], said["model"], said["software"]) == ("isetval", "pixel4a", f"isetval {isetval.__version__}")
+    assert json.loads(said["description"]) == {"simulated": True, "model_sha256": "0123abcd", "seed": 7, "frame": 3}
+    assert said["noise_profile"] == [[1e-4, 1e-6]] * 3
 
 
 def test_noise_profile_fits_simulated_noise():
