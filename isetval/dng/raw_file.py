@@ -15,7 +15,7 @@ from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.sensor import Exposure, Position, Sensor, black_at, pattern_at
 from isetval.dng.checks import clipping, clipping_remarks, code_remarks, code_use, line_remarks
-from isetval.dng.refusal import Remark, read_bytes, refusal
+from isetval.dng.refusal import Remark, check_not_constant, read_bytes, refusal
 
 
 def read_raw(
@@ -108,8 +108,7 @@ def _samples(
     if top >= 2**bits:
         needed = f"values up to {2**bits - 1} for {bits} bits"
         raise refusal(path, f"its highest value is {top}", needed, "correct the bits or the byte order")
-    if mosaic.size > 1 and bool((mosaic == mosaic[0, 0]).all()):
-        raise refusal(path, f"every pixel is {top}", "a picture", "check shape and file")
+    check_not_constant(path, mosaic, white=2.0**bits - 1)
     return mosaic
 
 

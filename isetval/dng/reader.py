@@ -21,7 +21,7 @@ from isetval.dng.decoding import decode
 from isetval.dng.levels import Levels, active_area, read_levels
 from isetval.dng.opcodes import gain_maps
 from isetval.dng.optical_black import OpticalBlack, optical_black
-from isetval.dng.refusal import Remark, read_bytes, refusal
+from isetval.dng.refusal import Remark, check_not_constant, read_bytes, refusal
 from isetval.dng.structure import check_layout
 from isetval.dng.tags import LINEAR_RAW, Fractions, RawTags, cfa_letters, open_tags
 
@@ -112,13 +112,7 @@ def _decode(path: object, data: bytes) -> _Decoded:
         levels = read_levels(path, tags, shape=(bottom - top, right - left))
         frame = decode(path, data, tags, layout)
         mosaic = np.ascontiguousarray(frame[top:bottom, left:right])
-        if mosaic.size > 1 and bool((mosaic == mosaic[0, 0]).all()):
-            raise refusal(
-                path,
-                f"every pixel is {int(mosaic[0, 0])}",
-                "a picture",
-                "use the original file, the samples of this one are gone",
-            )
+        check_not_constant(path, mosaic, white=float(levels.white))
         area = (top, left, bottom, right)
         margin = optical_black(frame, area, black_dn=levels.black_dn, white_dn=float(levels.white))
         exposure, exposure_remarks = _exposure(tags)
@@ -172,9 +166,10 @@ def _float(value: Fraction | None) -> float | None:
 
 
 def _exposure(tags: RawTags) -> tuple[Exposure, list[Remark]]:
-    time_s, iso, f_number = (_float(tags.exif_number(code)) for code in (33434, 34855, 33437))
-    if iso is not None and iso >= 65535:
-        iso = next((float(v) for v in map(tags.exif_number, (34867, 34866, 34865)) if v), iso)
+    time_s, f_number = (_float(tags.exif_number(code)) for code in (33434, 33437))
+    # 65535 in the short tag means "see ISOSpeed, RecommendedExposureIndex or StandardOutputSensitivity" (Exif 2.3)
+    sensitivities = [v for v in map(tags.exif_number, (34855, 34867, 34866, 34865)) if v is not None]
+    iso = next((float(v) for v in sensitivities if v != 65535), 65535.0 if sensitivities else None)
     distance = tags.exif_number(37382)
     focus_m = float("inf") if distance is not None and distance >= 2**32 - 1 else _float(distance)
     missing = [name for name, value in (("ExposureTime", time_s), ("ISO", iso)) if value is None]

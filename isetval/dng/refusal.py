@@ -6,6 +6,9 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from isetval.core.errors import InputError
 
 MAGIC = (
@@ -48,6 +51,8 @@ def read_bytes(path: str | os.PathLike[str], *, kind: str = "a DNG file") -> byt
     target = Path(path)
     if target.is_dir():
         raise refusal(target, "this is a directory", kind, "name a file inside it")
+    if target.exists() and not target.is_file():
+        raise refusal(target, "this is a device or a pipe", kind, "copy its contents into a file first")
     try:
         data = target.read_bytes()
     except FileNotFoundError:
@@ -57,6 +62,21 @@ def read_bytes(path: str | os.PathLike[str], *, kind: str = "a DNG file") -> byt
     if not data:
         raise refusal(target, "the file is empty (0 bytes)", kind, "copy it again from the camera")
     return data
+
+
+def check_not_constant(path: object, mosaic: NDArray[np.uint16], *, white: float) -> None:
+    """Refuse a frame whose pixels are all equal: decoders return it for missing samples.
+
+    Raises
+    ------
+    InputError
+        If the frame of more than one pixel holds one value only; ``white`` in DN.
+    """
+    value = int(mosaic.flat[0])
+    if mosaic.size > 1 and bool((mosaic == value).all()):
+        if value >= white:
+            raise refusal(path, f"every pixel is {value}, the white level", "a picture", "expose it shorter")
+        raise refusal(path, f"every pixel is {value}", "a picture", "use the original file, the samples of this one are gone")
 
 
 def what_is(data: bytes) -> str:

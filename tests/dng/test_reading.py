@@ -1,6 +1,8 @@
 """Files of other makers: byte orders, tiles, packing, margins, levels, opcodes. Truth is what the test put in."""
 
+import os
 import struct
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
 import numpy as np
@@ -79,6 +81,32 @@ def test_raw_image_in_a_sub_directory(tmp_path):
     assert capture.provenance["make"] == "maker"
     assert capture.provenance["as_shot_neutral"] == [0.5, 1.0, 0.625]
     assert capture.provenance["focal_length_mm"] == 4.38
+
+
+@pytest.mark.parametrize(
+    ("tags", "iso"),
+    [
+        ({34855: (3, [800])}, 800),
+        ({34855: (3, [65535]), 34866: (4, [102400])}, 102400),
+        ({34855: (3, [65535])}, 65535),
+        ({34865: (4, [250])}, 250),
+        ({34855: (3, [0]), 34866: (4, [64])}, 64),
+    ],
+)
+def test_iso_tags(make_dng, tags, iso):
+    assert read_dng(make_dng(exif=tags)).exposure.iso == iso
+
+
+def test_threads_leave_the_terminal_alone(make_dng):
+    """LibRaw is silenced through file descriptor 2 of the process; several threads must give it back."""
+    mosaic = random_mosaic()
+    path = make_dng(mosaic, pieces=[packed(mosaic, 10)], t258=(3, [10]))
+    before = os.fstat(2)
+    with ThreadPoolExecutor(4) as pool:
+        for capture in pool.map(read_dng, [path] * 24):
+            np.testing.assert_array_equal(capture.mosaic, mosaic)
+    after = os.fstat(2)
+    assert (before.st_dev, before.st_ino) == (after.st_dev, after.st_ino)
 
 
 def test_unknown_exposure_stays_unknown(make_dng):

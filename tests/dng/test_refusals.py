@@ -124,7 +124,12 @@ def test_tags(make_dng, changes, words):
 
 
 def test_all_equal_frame(make_dng):
-    refused(make_dng(np.full((40, 50), 77, np.uint16)), "every pixel is 77")
+    refused(make_dng(np.full((40, 50), 77, np.uint16)), "every pixel is 77", "original file")
+    refused(make_dng(np.full((40, 50), 1023, np.uint16)), "the white level", "expose it shorter")
+
+
+def test_device():
+    refused("/dev/zero", "a device or a pipe")
 
 
 def test_small_packed_frame(make_dng):

@@ -54,6 +54,12 @@ def test_libraw_sees_the_same_samples(tmp_path, cfa, shape):
         assert (raw.sizes.raw_height, raw.sizes.raw_width, raw.sizes.flip) == (*shape, 0)
 
 
+def test_libraw_reads_a_monochrome_file(tmp_path):
+    capture = random_capture(cfa="MONO")
+    with rawpy.imread(str(write_dng(tmp_path / "a.dng", capture))) as raw:
+        np.testing.assert_array_equal(raw.raw_image.copy(), capture.mosaic)
+
+
 @pytest.mark.parametrize("window", [(0, 0), (3, 4), (2, 5), (7, 9)])
 def test_a_crop_carries_the_phase_of_its_first_pixel(tmp_path, window):
     mosaic = np.random.default_rng(2).integers(0, 1024, (30, 40)).astype(np.uint16)
