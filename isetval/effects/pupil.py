@@ -148,18 +148,20 @@ def _defocused(separation: Float, phase: Float) -> Float:
         safe = np.where(np.abs(a) < 1e-4, 1.0, a)
         return np.asarray(np.where(np.abs(a) < 1e-4, 1 - a**2 / 8, 2 * j1(safe) / safe))
     out = np.zeros(s.shape)
-    out[inside] = _hopkins(s[inside], np.abs(a[inside]))
+    out[inside] = _hopkins(s[inside], a[inside])
     return out
 
 
-def _hopkins(s: Float, a: Float) -> Float:
-    """(4/pi) int sin(a X)/a dv by Gauss-Legendre in t, v = sin t; s and a are (n,)."""
+def _hopkins(s: Float, a: Float, across: Float | None = None) -> Float:
+    """(4/pi) int cos(across v) sin(a X)/a dv by Gauss-Legendre in t, v = sin t; arguments are (n,)."""
     limit = np.arccos(s)
     total = np.zeros_like(s)
-    a = np.maximum(a, 1e-7)
-    for node, weight in zip(*_nodes(_count(float((a * (1 - s)).max(initial=0)))), strict=True):
+    a = np.maximum(np.abs(a), 1e-7)
+    size = a * (1 - s) if across is None else (a + np.abs(across)) * (1 - s)
+    for node, weight in zip(*_nodes(_count(float(size.max(initial=0)))), strict=True):
         cosine = np.cos(limit * node)
-        total += weight * cosine * np.sin(a * (cosine - s))
+        strip = weight * cosine * np.sin(a * (cosine - s))
+        total += strip if across is None else strip * np.cos(across * np.sin(limit * node))
     return np.asarray(4 / np.pi * limit * total / a)
 
 
@@ -177,6 +179,8 @@ def _aberrated(separation: Float, *phases: Any) -> NDArray[Any]:
 
 def _integral(s: Float, focus: Float, across: Float, spherical: Float, along: Float, aside: Float) -> NDArray[Any]:
     """Quadrature over the common area of two unit circles at +-s, arguments (n,)."""
+    if not (np.any(spherical) or np.any(along) or np.any(aside)):
+        return _hopkins(s, focus, across)
     spherical, along, aside = 24 * 5**0.5 * spherical, 8**0.5 * along, 12 * 8**0.5 * aside
     size = (np.abs(focus) + np.abs(across) + np.abs(spherical) + 14 * np.abs(along) + np.abs(aside)) * (1 - s)
     rule = _quadrant if not (np.any(along) or np.any(aside)) else _whole
