@@ -80,6 +80,9 @@ def sfr(
     if small:
         return refused(capture, box, channel=channel, flags={"roi_too_small": small})
     look = first_look(samples)
+    if look is not None and abs(look.line.position(np.array([look.line.y_center_px]))[1][0]) > 1.03:
+        samples = plane_samples(capture, box, channel, transposed=not samples.transposed)
+        look = first_look(samples)
     nothing = not_an_edge(samples, look)
     if nothing or look is None:
         flags = {"no_edge": nothing or ""}
@@ -172,6 +175,9 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
     fit, line = estimate.fit, estimate.geometry.line
     x, slope, bend = line.position(np.array([line.y_center_px]))
     angle = float(np.degrees(np.arctan(slope[0])))
+    over = abs(angle) > 45
+    if over:
+        angle = float(np.copysign(90 - abs(angle), angle))
     verdict = judge(
         samples, look, estimate, channel=channel, angle_deg=angle, length_px=2 * line.y_half_px * np.hypot(1, slope[0])
     )
@@ -198,7 +204,7 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
         mtf50p_cy_px=value[3],
         mtf50p_sigma=sigma[3],
         angle_deg=angle,
-        orientation="horizontal" if samples.transposed else "vertical",
+        orientation="horizontal" if samples.transposed != over else "vertical",
         distance_px=distance,
         esf=esf,
         lsf=lsf,

@@ -31,9 +31,20 @@ from isetval.measure.edge.smooth import Binned, EsfFit, fit_esf
 Float = NDArray[np.float64]
 
 MIN_WIDTH_PX = 0.2
-PASSES = 6
+PASSES = 10
 MODEL_ERROR = 2e-5
 MOVING_ERROR = 2e-3
+SHADING_DONE = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Levels, rounding variance and ESF known so far."""
+
+    dark: float
+    step: float
+    floor: float
+    fit: EsfFit | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,27 +74,38 @@ def measure_edge(samples: Samples, look: FirstLook, *, floor: float, choices: Ma
     """
     chosen = dict(choices or {})
     order = chosen.get("order")
-    geometry = Geometry(look.line)
-    if order is not None and look.line.order > order:
-        geometry = Geometry(look.line.with_coefficients(look.line.coefficients[: order + 1]))
-    width = first_width(samples, geometry.line, look)
+    line = look.line
+    if order is not None and line.order > order:
+        line = line.with_coefficients(line.coefficients[: order + 1])
+    half = 0.5 * max(samples.step_px * samples.values.shape[1], samples.row_step_px * len(samples.y_px))
+    geometry = Geometry(line, half_px=half)
+    width = first_width(samples, line, look)
+    state = _State(look.dark, look.bright - look.dark, floor)
     row_chi2 = float("nan")
     for turn in range(PASSES):
-        if turn < 2:
-            geometry = fit_along(samples, geometry, distances(samples, geometry.line), width)
-        fit, noise, _ = _esf(samples, geometry, width, floor, look, chosen, full=False)
+        width = smooth.width_of(smooth.width_index(width))
+        distance = distances(samples, geometry.line)
+        before = geometry.gain
+        geometry = fit_along(samples, geometry, distance, width)
+        fit, noise, _ = _esf(samples, geometry, distance, width, state=state, chosen=None)
+        state = _State(fit.dark, fit.step, floor, fit)
         shifts = row_shifts(samples, geometry, fit, noise)
         line, row_chi2 = update_line(geometry.line, samples.y_px, shifts, order=order)
         center, wide = center_and_width(fit)
         line = _shifted(line, center)
         moved = _moved(geometry.line, line)
-        geometry = Geometry(line, geometry.along, geometry.half_px)
+        gain = (*geometry.gain[:3], *(_within(g + c) for g, c in zip(geometry.gain[3:], fit.coefficients[2:4], strict=True)))
+        geometry = Geometry(line, gain, half)
         old, width = width, wide
-        if turn > 0 and moved < 2e-4 + 0.1 / np.sqrt(max(float(shifts.weight.sum()), 1e-9)) and abs(width / old - 1) < 0.03:
+        enough = 2e-4 + 0.1 / np.sqrt(max(float(shifts.weight.sum()), 1e-9))
+        lit = max(abs(a - b) for a, b in zip(before, geometry.gain, strict=True))
+        if turn > 0 and moved < enough and abs(width / old - 1) < 0.03 and lit < SHADING_DONE:
             break
     if "width_index" in chosen:
         width = smooth.width_of(int(chosen["width_index"]))
-    fit, noise, binned = _esf(samples, geometry, width, floor, look, chosen, full=True)
+    width = smooth.width_of(smooth.width_index(width))
+    distance = distances(samples, geometry.line)
+    fit, noise, binned = _esf(samples, geometry, distance, width, state=state, chosen=chosen)
     made = {
         "order": geometry.line.order,
         "width_index": smooth.width_index(fit.width_px),
@@ -104,6 +126,10 @@ def _shifted(line: EdgeLine, normal_px: float) -> EdgeLine:
     return line.with_coefficients(c)
 
 
+def _within(gain: float) -> float:
+    return float(np.clip(gain, -0.8, 0.8))
+
+
 def _moved(old: EdgeLine, new: EdgeLine) -> float:
     """Largest change of a coefficient, px."""
     n = max(len(old.coefficients), len(new.coefficients))
@@ -116,24 +142,22 @@ def _moved(old: EdgeLine, new: EdgeLine) -> float:
 def _esf(
     samples: Samples,
     geometry: Geometry,
+    distance: Float,
     width: float,
-    floor: float,
-    look: FirstLook,
-    chosen: dict[str, Any],
     *,
-    full: bool,
+    state: _State,
+    chosen: dict[str, Any] | None,
 ) -> tuple[EsfFit, NoiseLevel, Binned]:
-    width = smooth.width_of(smooth.width_index(width))
-    distance = distances(samples, geometry.line)
-    binned = gather(samples.values / gain_of(samples, geometry), distance, width)
-    scale = look.bright - look.dark
-    noise = noise_level(binned, floor=max(floor, (1e-5 * scale) ** 2))
-    level = _level(binned)
-    variance = noise.at(level) + binned.number * _common_error(noise, floor, scale, full=full)
-    far = float(np.abs(binned.distance).max())
-    light = (look.dark + scale * level) / scale
-    shading = np.column_stack([light * binned.distance / far, light * (binned.distance / far) ** 2]) * scale
-    fit = fit_esf(binned, variance, shading=shading, scale=scale, choices=chosen if full else None, full=full)
+    """Gather the samples and fit the ESF; ``chosen`` None: while the line is still moving."""
+    binned = gather(samples.values / gain_of(samples, geometry, distance), distance, width)
+    noise = noise_level(binned, floor=max(state.floor, (1e-5 * state.step) ** 2))
+    level = _level(binned, state.fit)
+    moving = chosen is None
+    variance = noise.at(level) + binned.number * _common_error(noise, state.floor, state.step, full=not moving)
+    place = binned.distance * (width / geometry.half_px)
+    light = state.dark + state.step * level
+    shading = np.column_stack([light * place, light * place**2])
+    fit = fit_esf(binned, variance, shading=shading, scale=state.step, choices=chosen, full=not moving)
     return fit, noise, binned
 
 
@@ -149,9 +173,11 @@ def _common_error(noise: NoiseLevel, floor: float, scale: float, *, full: bool) 
     return rounding + ((MODEL_ERROR if full else MOVING_ERROR) * scale) ** 2
 
 
-def _level(binned: Binned) -> Float:
-    """Rough relative level of every cell: 0 dark, 1 bright, from the mean shape of the prior."""
-    return np.clip(np.asarray(0.5 + 0.5 * np.tanh(binned.distance * 1.0)), 0.0, 1.0)
+def _level(binned: Binned, fit: EsfFit | None) -> Float:
+    """Relative level of every cell, 0 dark to 1 bright: of the last fit, at first a rough shape."""
+    if fit is None:
+        return np.asarray(0.5 + 0.5 * np.tanh(binned.distance))
+    return smooth.relative_level(binned, fit)
 
 
 def first_width(samples: Samples, line: EdgeLine, look: FirstLook) -> float:

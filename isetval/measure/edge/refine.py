@@ -25,10 +25,14 @@ ROW_FLOOR_PX = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Edge line and the illumination along it: gain = 1 + along[0] l + along[1] l^2, l along the edge in px / ``half_px``."""
+    """Edge line and illumination.
+
+    The illumination is 1 + g0 l + g1 l^2 + g2 l d + g3 d + g4 d^2, with l along and d across the edge in
+    units of ``half_px``; it multiplies both sides alike.
+    """
 
     line: EdgeLine
-    along: tuple[float, float] = (0.0, 0.0)
+    gain: tuple[float, float, float, float, float] = (0.0,) * 5
     half_px: float = 1.0
 
 
@@ -41,43 +45,44 @@ def along_edge(samples: Samples, line: EdgeLine) -> tuple[Float, Float]:
     return row[:, None], column
 
 
-def gain_of(samples: Samples, geometry: Geometry) -> Float:
-    """Illumination along the edge at every sample, (rows, n)."""
+def gain_of(samples: Samples, geometry: Geometry, distance_px: Float) -> Float:
+    """Illumination at every sample, (rows, n)."""
     row, column = along_edge(samples, geometry.line)
-    place = (row + column) / geometry.half_px
-    return np.asarray(1 + place * (geometry.along[0] + geometry.along[1] * place))
+    return _gain(geometry, row + column, distance_px)
+
+
+def _gain(geometry: Geometry, along_px: Float, distance_px: Float) -> Float:
+    a, b, c, d, e = (g / geometry.half_px**k for g, k in zip(geometry.gain, (1, 2, 2, 1, 2), strict=True))
+    return np.asarray(1 + along_px * (a + b * along_px + c * distance_px) + distance_px * (d + e * distance_px))
 
 
 def fit_along(samples: Samples, geometry: Geometry, distance_px: Float, width_px: float) -> Geometry:
-    """Illumination along the edge, from how the values change along it at equal distance from it.
+    """Illumination along the edge (g0, g1, g2), from how the values change along it at equal distance.
 
-    Regressing the deviations from the mean at each distance leaves the ESF out altogether.
+    Regressing the deviations from the mean at each distance leaves the ESF out altogether; one Gauss-Newton
+    step from the present gain.
     """
     row, column = along_edge(samples, geometry.line)
-    place = row + column
-    half = float(np.abs(place).max())
-    place = (place / half).ravel()
-    cell = np.rint(distance_px * (1 / max(0.5 * width_px, 1.0))).astype(np.int64).ravel()
-    far = np.abs(distance_px).ravel() > 2.5 * width_px
+    along = row + column
+    gain = _gain(geometry, along, distance_px).ravel()
+    place, across = along.ravel() / geometry.half_px, distance_px.ravel() / geometry.half_px
+    cell = np.rint(distance_px.ravel() * (1 / max(0.5 * width_px, 1.0))).astype(np.intp)
     cell -= cell.min()
     number = np.maximum(np.bincount(cell), 1)
-    value = samples.values.ravel()
-    expected = (np.bincount(cell, value) / number)[cell]
-    square = place * place
-    first = (place - (np.bincount(cell, place) / number)[cell]) * expected
-    second = (square - (np.bincount(cell, square) / number)[cell]) * expected
-    first *= far
-    second *= far
-    rest = value - expected
-    a, b, c = float(first @ first), float(first @ second), float(second @ second)
-    p, q = float(first @ rest), float(second @ rest)
-    prior = 1e-9 * (a + c) + 1e-300
-    det = (a + prior) * (c + prior) - b * b
-    if det <= 0:
-        return geometry
-    slope, bend = ((c + prior) * p - b * q) / det, ((a + prior) * q - b * p) / det
-    slope, bend = float(np.clip(slope, -0.8, 0.8)), float(np.clip(bend, -0.5, 0.5))
-    return Geometry(geometry.line, (slope, bend), half)
+    esf = (np.bincount(cell, samples.values.ravel() / gain) / number)[cell]
+    far = np.abs(distance_px.ravel()) > 2.5 * width_px
+    weighted = esf * far
+    columns = []
+    for raw in (place, place * place, place * across):
+        columns.append(weighted * (raw - (np.bincount(cell, raw) / number)[cell]))
+    design = np.stack(columns)
+    rest = samples.values.ravel() - esf * gain
+    matrix = design @ design.T
+    matrix[np.diag_indices(3)] += 1e-9 * np.trace(matrix) + 1e-300
+    step = np.linalg.solve(matrix, design @ rest)
+    limits = (0.9, 0.5, 0.5)
+    new = [float(np.clip(g + s, -m, m)) for g, s, m in zip(geometry.gain, step, limits, strict=False)]
+    return Geometry(geometry.line, (new[0], new[1], new[2], geometry.gain[3], geometry.gain[4]), geometry.half_px)
 
 
 @lru_cache(maxsize=8)
@@ -153,12 +158,6 @@ def esf_table(fit: EsfFit) -> tuple[Float, Float]:
     return value @ coefficients, slope @ coefficients / fit.width_px
 
 
-def _gain_at(samples: Samples, geometry: Geometry, column: NDArray[np.intp]) -> Float:
-    row, along = along_edge(samples, geometry.line)
-    place = (row + along[column]) / geometry.half_px
-    return np.asarray(1 + place * (geometry.along[0] + geometry.along[1] * place))
-
-
 @dataclass(frozen=True, eq=False)
 class RowShifts:
     """Shift of the edge along x in every row against the present line, and its weight 1/variance."""
@@ -177,8 +176,10 @@ def row_shifts(samples: Samples, geometry: Geometry, fit: EsfFit, noise: NoiseLe
     column = np.rint((x - samples.x0_px) / step).astype(np.intp)[:, None] + np.arange(-half, half + 1)
     inside = (column >= 0) & (column < n)
     column = np.clip(column, 0, n - 1)
-    value = np.take_along_axis(samples.values, column, axis=1) / _gain_at(samples, geometry, column)
-    z = (samples.x0_px[:, None] + step * column - x[:, None]) * (cosine / fit.width_px)[:, None]
+    near = (samples.x0_px[:, None] + step * column - x[:, None]) * cosine[:, None]
+    row, along = along_edge(samples, line)
+    value = np.take_along_axis(samples.values, column, axis=1) / _gain(geometry, row + along[column], near)
+    z = near / fit.width_px
     place = np.clip((z + TABLE_REACH) / TABLE_STEP, 0, 2 * TABLE_REACH / TABLE_STEP - 1)
     low = place.astype(np.intp)
     part = place - low

@@ -82,13 +82,16 @@ def check_channel(capture: Capture, channel: str) -> str:
     return channel
 
 
-def plane_samples(capture: Capture, roi: Roi | None, channel: str) -> Samples:
-    """Samples of ``channel`` inside ``roi``, turned so that the edge crosses every row."""
+def plane_samples(capture: Capture, roi: Roi | None, channel: str, *, transposed: bool | None = None) -> Samples:
+    """Samples of ``channel`` inside ``roi``, turned so that the edge crosses every row (or as told)."""
     channel = check_channel(capture, channel)
     box = check_roi(capture, roi)
     if channel != "G":
         samples = _grid(capture, box, channel)
-        return samples.flipped() if _is_horizontal(samples.values) else samples
+        turn = _is_horizontal(samples.values) if transposed is None else transposed
+        return samples.flipped() if turn else samples
+    if transposed is not None:
+        return _quincunx(capture, box, transposed=transposed)
     greens = plane_view(capture, "Gr", box)[0]
     return _quincunx(capture, box, transposed=_is_horizontal(greens.astype(float)))
 

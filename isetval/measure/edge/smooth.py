@@ -120,6 +120,16 @@ class EsfFit:
         return np.concatenate([self.coefficients[1:2], self.coefficients[FREE:]])
 
 
+def relative_level(binned: Binned, fit: EsfFit) -> Float:
+    """ESF of an earlier fit at the cells of ``binned``, 0 dark to 1 bright, (cells,)."""
+    z = binned.distance * (binned.width_px / fit.width_px)
+    cell = np.clip(np.searchsorted(basis.bins().edges, z) - 1, 0, len(basis.bins().center) - 1)
+    mean, slope = _modes()
+    delta = z - basis.bins().center[cell]
+    columns = np.concatenate([fit.coefficients[1:2], fit.coefficients[FREE:]]) / fit.step
+    return np.asarray((mean[:, 1:] @ columns)[cell] + delta * (slope[:, 1:] @ columns)[cell])
+
+
 def fit_esf(
     binned: Binned, variance: Float, *, shading: Float, scale: float, choices: dict[str, Any] | None = None, full: bool = True
 ) -> EsfFit:

@@ -78,8 +78,9 @@ def judge(samples: Samples, look: FirstLook, estimate: Estimate, *, channel: str
         warnings["short_edge"] = (
             f"the edge is {length_px:.0f} px long; channel {channel} is reliable from {GOOD_LENGTH_PX[channel]} px"
         )
-    if abs(estimate.geometry.along[0]) > 0.3:
-        warnings["strong_shading"] = f"illumination changes by {200 * abs(estimate.geometry.along[0]):.0f} % along the edge"
+    slope = float(np.hypot(estimate.geometry.gain[0], estimate.geometry.gain[3]))
+    if slope > 0.3:
+        warnings["strong_shading"] = f"illumination changes by {200 * slope:.0f} % over the region"
     return Verdict(flags, warnings)
 
 
@@ -142,14 +143,11 @@ def _sides(flags: dict[str, str], estimate: Estimate, distance: Float) -> None:
 def _single(flags: dict[str, str], samples: Samples, estimate: Estimate, distance: Float) -> None:
     """Second transitions: plateaus that are not flat, or blocks that disagree with the fit."""
     fit = estimate.fit
-    level = samples.values / gain_of(samples, estimate.geometry)
-    side = distance > 0
+    level = samples.values / gain_of(samples, estimate.geometry, distance)
     far = np.abs(distance) > max(6 * fit.width_px, 4.0)
-    expected = np.where(side, fit.dark + fit.step, fit.dark)
-    far_px = float(np.abs(estimate.binned.distance).max()) * fit.width_px
-    place = distance / far_px
-    light = expected / fit.step
-    expected = expected + light * (fit.coefficients[2] * place + fit.coefficients[3] * place**2)
+    place = distance / estimate.geometry.half_px
+    expected = np.where(distance > 0, fit.dark + fit.step, fit.dark)
+    expected = expected * (1 + fit.coefficients[2] * place + fit.coefficients[3] * place**2)
     rest = np.where(far, level - expected, 0.0)
     rows, cols = (max(1, n // 8) for n in rest.shape)
     kr, kc = rest.shape[0] // rows, rest.shape[1] // cols
