@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,8 @@ def read_dng(path: str | os.PathLike[str], *, black: BlackChoice = "auto") -> Ca
     Samples are as stored: not clipped, not white balanced, no shading correction applied.  All levels
     come from the tags.  Where the hidden margin of the frame holds plausible optical black that
     differs from the BlackLevel tag by more than three standard errors, the optical black is used
-    (one value for each place of the 2x2 pattern) and ``provenance`` says so.
+    (one value for each place of the 2x2 pattern) and ``provenance`` says so.  It is estimated for every
+    file on its own; ``place_on_sensor`` puts the one black level of a campaign in its place.
 
     Parameters
     ----------
@@ -74,6 +75,8 @@ def read_dng(path: str | os.PathLike[str], *, black: BlackChoice = "auto") -> Ca
         For a file that is not a whole Bayer or one-channel DNG with black and white level: the
         message says what was found, what is needed and what to do.
     """
+    if black not in get_args(BlackChoice):
+        raise InputError(f"black is {black!r}; it needs one of {', '.join(get_args(BlackChoice))}")
     data = read_bytes(path)
     decoded = _decode(path, data)
     table, used, remark = _choose_black(path, decoded, black)

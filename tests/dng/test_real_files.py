@@ -52,6 +52,28 @@ def test_canon_550d_says_which_black_it_used():
     json.dumps(description, allow_nan=False)
 
 
+def test_canon_550d_black_of_each_place_is_confirmed_by_the_picture():
+    """The margin says that Gb is 3.05 DN blacker than Gr; dark parts of the visible picture must show the same.
+
+    Means of 16 x 16 pixels of each green; at 20 to 80 DN of signal a gain difference of 1 % is worth less than 0.8 DN.
+    """
+    capture = read_dng(REAL / "canon550d_colorchecker.dng")
+
+    def boxes(row, col):
+        plane = capture.mosaic[row::2, col::2].astype(float) - capture.sensor.black_dn[row][col]
+        rows, cols = (n // 16 for n in plane.shape)
+        return plane[: rows * 16, : cols * 16].reshape(rows, 16, cols, 16).mean(axis=(1, 3))
+
+    gr, gb = boxes(0, 1), boxes(1, 0)
+    dark = (gr + gb > 40) & (gr + gb < 160)
+    difference = (gb - gr)[dark]
+    sigma = 1.25 * difference.std() / np.sqrt(difference.size)
+    assert dark.sum() > 200
+    assert abs(np.median(difference)) < 0.8 + 4 * sigma
+    # with the one tag for both it would be off by the 3 DN, far outside that bound
+    assert 2 * (0.8 + 4 * sigma) < 3.05
+
+
 def test_canon_350d_is_hollow():
     with pytest.raises(InputError, match=r"lists 1 tiles.*needs 140 tiles"):
         read_dng(REAL / "canon350d_hollow.dng")

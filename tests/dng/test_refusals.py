@@ -168,6 +168,8 @@ def test_broken_lossless_jpeg(make_dng, capfd, piece, words):
 
 def test_optical_black_asked_for_where_there_is_none(make_dng):
     refused(make_dng(), "no hidden margin", black="optical")
+    with pytest.raises(InputError, match="black is 'Optical'; it needs one of auto, tag, optical"):
+        read_dng(make_dng(), black="Optical")
 
 
 def test_shape_disagreement(make_dng, monkeypatch):
