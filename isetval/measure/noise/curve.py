@@ -31,7 +31,8 @@ class Points:
     """Points of a photon-transfer curve, one per light level, (levels,) each.
 
     ``mean_dn`` above the measured black; ``spread_dn2`` is the spatial variance of the light over the region,
-    ``variance_dn2`` the temporal variance; ``dof`` its degrees of freedom for normal noise.
+    ``variance_dn2`` the temporal variance; ``dof`` its degrees of freedom for normal noise; ``sampled_dn4`` the sampling
+    variance of ``variance_dn2`` where it is known otherwise (rounded levels), else nan.
     """
 
     mean_dn: Float
@@ -39,10 +40,11 @@ class Points:
     variance_dn2: Float
     dof: Float
     pixels: Float
+    sampled_dn4: Float
 
     def take(self, index: Any) -> Points:
         """The points with this index or mask."""
-        return Points(*(np.asarray(getattr(self, n))[index] for n in ("mean_dn", "spread_dn2", "variance_dn2", "dof", "pixels")))
+        return Points(*(np.asarray(getattr(self, n))[index] for n in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,8 @@ def point_variance(points: Points, model: Float, slope: float) -> Float:
     """
     uneven = 1 + slope**2 * points.spread_dn2 / np.maximum(model, 1e-6) ** 2
     rest = np.clip(model - slope * points.mean_dn, 0.0, model)
-    return np.asarray(2 * model**2 * uneven / points.dof + slope**2 * rest / points.pixels)
+    normal = 2 * model**2 * uneven / points.dof + slope**2 * rest / points.pixels
+    return np.asarray(np.where(np.isfinite(points.sampled_dn4), points.sampled_dn4, normal))
 
 
 def fit_response(time_s: Float, mean_dn: Float, sigma_dn: Float) -> Response | None:

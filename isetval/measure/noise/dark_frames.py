@@ -13,12 +13,10 @@ from isetval.core.capture import Capture, Roi, planes_of
 from isetval.core.errors import InputError
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.reference import DarkLevel, dark_level
-from isetval.measure.noise.statistics import check_frames, noisy_fraction
+from isetval.measure.noise.statistics import check_frames
 
 if TYPE_CHECKING:
     import pandas as pd
-
-HOT_SD = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +138,6 @@ def _plane_dark(captures: Sequence[Capture], plane: str, roi: Roi | None) -> Pla
     if current.value < -4 * current.sigma:
         flags.append("dark_current_negative")
     longest = levels[-1][1]
-    noisy = noisy_fraction(longest.moments).value if longest.moments.frames > 1 else 0.0
     return PlaneDark(
         plane=plane,
         black_level_dn=intercept,
@@ -152,19 +149,13 @@ def _plane_dark(captures: Sequence[Capture], plane: str, roi: Roi | None) -> Pla
         column_fixed_dn=root(first.fixed.column, "DN"),
         dark_current_dn_per_s=current,
         dark_current_variance_dn2_per_s=by_variance,
-        hot_pixels=hot_pixels(longest),
-        noisy_pixels=round(noisy * longest.moments.average.size),
+        hot_pixels=longest.hot,
+        noisy_pixels=longest.noisy,
         drift_dn=root(first.frame_scatter, "DN"),
         frame_means_dn=_frame_means(captures, plane, roi),
         levels=tuple(levels),
         flags=tuple(flags),
     )
-
-
-def hot_pixels(level: DarkLevel) -> int:
-    """Pixels above the field by more than six sd of the mean image's noise and pattern."""
-    rest = np.asarray(level.moments.average, dtype=np.float64) - level.fixed.surface
-    return int(np.sum(level.defects & (rest > 0)))
 
 
 def _frame_means(captures: Sequence[Capture], plane: str, roi: Roi | None) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

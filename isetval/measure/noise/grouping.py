@@ -16,6 +16,7 @@ from isetval.measure.noise.statistics import check_frames
 Float = NDArray[np.float64]
 LEVEL_GAP = 0.03
 MERGE_GAP = 0.10
+SAMPLE = 40_000
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,16 @@ class Groups:
 
 
 def frame_mean(capture: Capture, roi: Roi | None = None) -> float:
-    """Mean over the planes of (DN - black) of one frame."""
-    return float(
-        np.mean([plane_view(capture, p, roi)[0].mean(dtype=np.float64) - plane_black_dn(capture, p) for p in planes_of(capture)])
-    )
+    """Mean over the planes of (DN - black) of one frame, from evenly spread pixels, stray values held to 8 robust sd."""
+    return float(np.mean([_held_mean(plane_view(capture, p, roi)[0]) - plane_black_dn(capture, p) for p in planes_of(capture)]))
+
+
+def _held_mean(view: NDArray[np.uint16]) -> float:
+    step = max(1, int(math.sqrt(view.size / SAMPLE)))
+    values = view[::step, ::step].astype(np.float64)
+    center = float(np.median(values))
+    spread = max(1.4826 * float(np.median(np.abs(values - center))), 0.5)
+    return float(np.clip(values, center - 8 * spread, center + 8 * spread).mean())
 
 
 def frame_noise(capture: Capture, roi: Roi | None = None) -> float:
@@ -49,7 +56,8 @@ def group(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Ca
     Notes
     -----
     Without ``dark``, the captures at the shortest exposure time whose mean is at black are the darks: within one DN
-    or a quarter of the temporal noise, and clearly below the next level.  The others are grouped by
+    or a quarter of the temporal noise, and clearly below the next level; if there are none, those of any time
+    that are at black (taken with the lens capped).  The others are grouped by
     exposure time and split where their means differ by more than 3 %; a frame left alone joins the nearest
     level of its time within 10 % (frames are scaled to each other, so a light step does no harm).
     """
@@ -84,6 +92,12 @@ def _find_dark(captures: Sequence[Capture], means: dict[int, float], roi: Roi | 
     known = [c.exposure.time_s for c in captures if c.exposure.time_s is not None]
     shortest = min(known) if known else None
     candidates = [c for c in captures if c.exposure.time_s is None or c.exposure.time_s == shortest]
+    return _at_black(candidates, captures, means, roi) or _at_black(captures, captures, means, roi)
+
+
+def _at_black(
+    candidates: Sequence[Capture], captures: Sequence[Capture], means: dict[int, float], roi: Roi | None
+) -> list[Capture]:
     lowest = min(candidates, key=lambda c: means[id(c)])
     noise = frame_noise(lowest, roi)
     limit = max(1.0, 0.25 * noise)

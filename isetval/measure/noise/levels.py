@@ -22,6 +22,8 @@ CLIPPED_SHARE = 1e-3
 PLATEAU_SD = 4.5
 MAX_DEFECT_SHARE = 0.02
 SMALL_SPREAD_DN = 0.4
+ROUNDED_BELOW_DN2 = 0.6
+SKEWNESS_ERROR = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,7 @@ class Level:
     clipped_low: float
     fixed: FixedPattern | None
     captures: tuple[Capture, ...]
+    rounded: bool = False
     used: bool = True
     reason: str = ""
 
@@ -64,6 +67,7 @@ class LevelSeries:
             np.array([level.variance_dn2 for level in used]),
             np.array([(level.frames - 1) * level.pixels for level in used], dtype=float),
             np.array([level.frames * level.pixels for level in used], dtype=float),
+            np.array([level.variance_sigma_dn2**2 if level.rounded else math.nan for level in used]),
         )
 
 
@@ -79,13 +83,15 @@ def measure_levels(flats: Sequence[Sequence[Capture]], plane: str, roi: Roi | No
         moments = frame_moments(views, black.value)
         if i == order[0]:
             bad = _defects(moments, bad)
+        if bad is not None:
+            moments = frame_moments(views, black.value, bad=bad)
         levels[i] = _level(flats[i], views, moments, bad, black.value)
     ordered = sorted(levels.values(), key=lambda level: level.mean_dn)
     return LevelSeries(tuple(ordered), black)
 
 
 def _defects(moments: Moments, known: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    """Flat indices... of pixels that stand out of the smooth field, joined with those known from the dark."""
+    """Pixels that stand out of the smooth field, joined with those known from the dark."""
     average = np.asarray(moments.average, dtype=np.float64)
     rest = average - fit_surface(average, surface_degree(average.shape))
     bad = np.abs(rest) > 6 * max(robust_sd(rest), 1e-6)
@@ -112,7 +118,7 @@ def _level(
     mean, variance, second, pixels = _masked(moments, bad)
     spread = max(second - mean**2 - variance / moments.frames, 0.0)
     white = captures[0].sensor.white_dn
-    rounded = _exact_rounding(views, variance, spread)
+    exact = _exact_rounding(views, Quantity(variance, moments.temporal.sigma, "DN^2"), spread)
     fixed = decompose(moments, surface_degree(moments.shape), relative=True, row_temporal=max(row.value, 0.0))
     drift = float(np.mean((moments.row_means - moments.row_means.mean(axis=0)) ** 2))
     pooled = variance * (moments.frames - 1) / moments.frames + float(np.var(moments.average, dtype=np.float64)) + drift
@@ -124,8 +130,9 @@ def _level(
         mean_dn=mean,
         mean_sigma_dn=math.sqrt(variance / pixels / moments.frames + line_part),
         spread_dn2=spread,
-        variance_dn2=rounded,
-        variance_sigma_dn2=variance * math.sqrt(2 / (pixels * (moments.frames - 1))),
+        variance_dn2=exact.value,
+        variance_sigma_dn2=exact.sigma,
+        rounded=variance < ROUNDED_BELOW_DN2,
         pooled_variance_dn2=pooled,
         row_temporal=row,
         frame_scatter=frame,
@@ -154,13 +161,15 @@ def _masked(moments: Moments, bad: NDArray[np.bool_] | None) -> tuple[float, flo
     return total / count, noise / count, square / count, count
 
 
-def _exact_rounding(views: Sequence[NDArray[np.uint16]], variance: float, spread: float) -> float:
+def _exact_rounding(views: Sequence[NDArray[np.uint16]], variance: Quantity, spread: float) -> Quantity:
     """Temporal variance as it would be if rounding added exactly 1/12 (it does not below about .7 DN)."""
-    if variance > 0.6:
+    if variance.value > ROUNDED_BELOW_DN2:
         return variance
     if spread > SMALL_SPREAD_DN**2:
-        return unrounded_variance(variance) + 1 / 12
-    return fit_quantized(views).temporal_variance_dn2.value + 1 / 12
+        return Quantity(unrounded_variance(variance.value) + 1 / 12, variance.sigma, "DN^2")
+    exact = fit_quantized(views).temporal_variance_dn2
+    # the skewness of few electrons shifts the fit of a normal distribution by a percent or two
+    return Quantity(exact.value + 1 / 12, math.hypot(exact.sigma, SKEWNESS_ERROR * exact.value), "DN^2")
 
 
 def cut_series(series: LevelSeries, cut_dn: float | None = None) -> tuple[LevelSeries, tuple[str, ...]]:

@@ -78,7 +78,14 @@ class Moments:
         return np.asarray(self.row_means.mean(axis=1))
 
 
-def frame_moments(views: Sequence[Values], black_dn: float = 0.0, *, keep: bool = False, dtype: Any = None) -> Moments:
+def frame_moments(
+    views: Sequence[Values],
+    black_dn: float = 0.0,
+    *,
+    keep: bool = False,
+    dtype: Any = None,
+    bad: NDArray[np.bool_] | None = None,
+) -> Moments:
     """Moments of same-sized frames of one colour plane.
 
     Parameters
@@ -89,6 +96,8 @@ def frame_moments(views: Sequence[Values], black_dn: float = 0.0, *, keep: bool 
         Subtracted first.
     keep : bool
         Keep the residuals (needed for neighbour covariances).
+    bad : bool array (rows, cols), optional
+        Pixels to leave out: they take their row's mean and have no variance.
     dtype : numpy dtype, optional
         float64 for planes of up to 65536 pixels, else float32 (relative rounding 1e-7 of the signal).
     """
@@ -105,7 +114,9 @@ def frame_moments(views: Sequence[Values], black_dn: float = 0.0, *, keep: bool 
         block = np.empty((frames, part.stop - top, cols), kind)
         for f, view in enumerate(views):
             np.subtract(view[part], kind(black_dn), out=block[f], casting="unsafe")
-        row_means[:, part] = block.mean(axis=2, dtype=np.float64) if cols <= 4096 else block.astype(np.float64).mean(axis=2)
+        row_means[:, part] = block.mean(axis=2, dtype=np.float64)
+        if bad is not None and bad[part].any():
+            row_means[:, part] = _leave_out(block, bad[part])
         mean = block.mean(axis=0)
         average[part] = mean
         if frames > 1:
@@ -122,6 +133,15 @@ def frame_moments(views: Sequence[Values], black_dn: float = 0.0, *, keep: bool 
     if frames > 1:
         variance *= cols / max(cols - 1, 1) / (frames - 1)
     return Moments(average, variance, row_means, residual)
+
+
+def _leave_out(block: Values, bad: NDArray[np.bool_]) -> Float:
+    """Row means of the good pixels, (frames, rows); bad ones are overwritten with them."""
+    good = np.maximum((~bad).sum(axis=1), 1)
+    means = np.where(bad, 0.0, block).sum(axis=2, dtype=np.float64) / good
+    rows = np.nonzero(bad)[0]
+    block[:, bad] = means[:, rows]
+    return np.asarray(means)
 
 
 def _column_profile(block: Values, mean: Values) -> Values:

@@ -14,11 +14,12 @@ from isetval.measure.noise.decomposition import FixedPattern, decompose
 from isetval.measure.noise.moments import Moments, frame_moments
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.quantized import QuantizedNoise, fit_quantized, quantization_variance
-from isetval.measure.noise.statistics import row_and_frame_scatter, trimmed_temporal
+from isetval.measure.noise.statistics import noisy_limit, row_and_frame_scatter
 
 EXACT_BELOW_DN = 0.75
 UNRELIABLE_BELOW_DN = 0.25
 CLIPPED_SHARE = 1e-3
+MAX_DEFECT_SHARE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,30 +51,34 @@ class DarkLevel:
     exact: QuantizedNoise | None
     defects: NDArray[np.bool_]
     clipped_low: float
+    hot: int
+    noisy: int
     flags: tuple[str, ...]
 
     @property
     def rounded_variance(self) -> Quantity:
         """Read variance plus the rounding of a signal that spans many codes, DN^2: the photon-transfer intercept."""
-        return Quantity(self.read_variance.value + 1 / 12, self.read_variance.sigma, "DN^2")
+        doubt = 0.3 * self.read_variance.value if "read_noise_below_quantization" in self.flags else 0.0
+        return Quantity(self.read_variance.value + 1 / 12, max(self.read_variance.sigma, doubt), "DN^2")
 
     @property
     def read_noise_dn(self) -> Quantity:
         """Temporal dark noise of a pixel (read and reset noise together), DN, without rounding."""
-        return root(self.read_variance, "DN")
+        doubt = self.rounded_variance.sigma
+        return root(Quantity(self.read_variance.value, doubt, "DN^2"), "DN")
 
 
 def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None) -> DarkLevel:
     """Black level and noise of one plane from two or more dark frames (one frame: noise is nan)."""
     views = [plane_view(c, plane, roi)[0] for c in captures]
     tag = plane_black_dn(captures[0], plane)
-    moments = frame_moments(views, tag)
+    moments, defects, fixed, (hot, noisy) = _clean_moments(views, tag)
     row, frame = row_and_frame_scatter(moments)
     known_row = max(row.value, 0.0) if len(views) > 1 else 0.0
-    fixed = decompose(moments, 2 if min(moments.shape) >= 8 else 0, relative=False, row_temporal=known_row)
+    if known_row:
+        fixed = decompose(moments, _degree(moments), relative=False, row_temporal=known_row)
     clipped = float(np.mean([np.mean(view == 0) for view in views]))
-    defects = _defects(moments, fixed)
-    plain = trimmed_temporal(moments)
+    plain = moments_without(moments, defects)
     flags = []
     exact = None
     if len(views) > 1 and (plain.value < EXACT_BELOW_DN**2 or clipped > CLIPPED_SHARE):
@@ -92,7 +97,42 @@ def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None) 
         flags.append("black_level_differs_from_tag")
     if len(views) > 1 and frame.value > max(5 * _null_sigmas(moments, plain.value)[1], 0.01 * max(read.value, 1 / 12)):
         flags.append("dark_drift")
-    return DarkLevel(black, read, total, row, frame, dsnu, fixed, moments, exact, defects, clipped, tuple(flags))
+    return DarkLevel(black, read, total, row, frame, dsnu, fixed, moments, exact, defects, clipped, hot, noisy, tuple(flags))
+
+
+def _degree(moments: Moments) -> int:
+    return 2 if min(moments.shape) >= 8 else 0
+
+
+def _clean_moments(
+    views: Sequence[NDArray[np.uint16]], tag: float
+) -> tuple[Moments, NDArray[np.bool_], FixedPattern, tuple[int, int]]:
+    """Moments without the pixels that stand out or are noisy, so that they do not spoil their row's mean."""
+    moments = frame_moments(views, tag)
+    fixed = decompose(moments, _degree(moments), relative=False)
+    defects = _defects(moments, fixed)
+    hot = int(np.sum(defects & (np.asarray(moments.average) > fixed.surface)))
+    noisy = 0
+    if len(views) > 1:
+        restless = moments.pixel_variance > noisy_limit(moments)
+        noisy = int(restless.sum())
+        defects |= restless
+    if 0 < defects.sum() < MAX_DEFECT_SHARE * defects.size:
+        moments = frame_moments(views, tag, bad=defects)
+        fixed = decompose(moments, _degree(moments), relative=False)
+    else:
+        defects = np.zeros_like(defects)
+    return moments, defects, fixed, (hot, noisy)
+
+
+def moments_without(moments: Moments, bad: NDArray[np.bool_]) -> Quantity:
+    """Temporal variance of the good pixels of moments that were taken with ``bad`` left out."""
+    if moments.frames < 2:
+        return moments.temporal
+    pixels = moments.pixel_variance[~bad]
+    return Quantity(
+        float(pixels.mean(dtype=np.float64)), float(np.std(pixels, dtype=np.float64)) / math.sqrt(pixels.size), "DN^2"
+    )
 
 
 def _defects(moments: Moments, fixed: FixedPattern) -> NDArray[np.bool_]:

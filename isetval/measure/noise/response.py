@@ -6,24 +6,30 @@ import math
 
 import numpy as np
 
+from isetval.measure.noise.curve import Response
 from isetval.measure.noise.levels import LevelSeries
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.reference import DarkLevel
 
 
-def prnu_percent(series: LevelSeries, reference: DarkLevel | None) -> Quantity:
+def prnu_percent(series: LevelSeries, reference: DarkLevel | None, response: Response | None = None) -> Quantity:
     """Pixel-to-pixel photo-response non-uniformity, %.
 
     Notes
     -----
-    The signed pixel variances F of the mean images follow F = D + p^2 m^2 (DSNU D from the dark, or zero).  They are
-    averaged with weights m^4 / var; the part of their error that is the specimen's own pattern is common to all.
+    The signed pixel variances F of the mean images follow F = D + p^2 m^2 (DSNU D from the dark, or zero).  They
+    are averaged with weights m^4 / var, with m replaced by L R'(L) under a known response m = R(L).  The part of
+    their error that is the specimen's own pattern is common to all.
     """
     used = [level for level in series.levels if level.used and level.fixed is not None]
     offset = reference.dsnu_variance if reference is not None and reference.moments.frames > 1 else Quantity(0.0, 0.0, "DN^2")
     if not used:
         return Quantity(math.nan, math.nan, "%")
-    square = np.array([level.mean_dn**2 for level in used])
+    mean = np.array([level.mean_dn for level in used])
+    square = mean**2
+    if response is not None:
+        linear = response.linear(mean)
+        square = (linear * response.slope(linear)) ** 2
     pattern = [level.fixed.pixel for level in used if level.fixed is not None]
     values = np.array([q.value for q in pattern]) - offset.value
     own = np.array([q.sigma for q in pattern])

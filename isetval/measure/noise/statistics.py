@@ -111,16 +111,29 @@ def _statistics(captures: Sequence[Capture], roi: Roi | None, degree: int, *, re
         _, first, _ = plane_view(captures[0], plane, roi)
         residuals[plane] = (moments, first)
         codes = code_statistics([plane_view(c, plane, roi)[0] for c in captures], captures[0].sensor.white_dn)
-        out[plane] = _plane_statistics(plane, moments, codes, degree, relative=relative)
+        clean = _without_noisy(captures, plane, roi, moments)
+        out[plane] = _plane_statistics(plane, (moments, clean), codes, degree, relative=relative)
     region = check_roi(captures[0], roi)
     if len(captures) > 1:
         out["mosaic"] = neighbour_covariance(residuals, region)
     return out
 
 
+def _without_noisy(captures: Sequence[Capture], plane: str, roi: Roi | None, moments: Moments) -> Moments:
+    """The same moments with noisy pixels left out, so that they do not spoil their row's mean."""
+    if moments.frames < 2:
+        return moments
+    bad = moments.pixel_variance > noisy_limit(moments)
+    if not 0 < bad.sum() < 0.05 * bad.size:
+        return moments
+    views = [plane_view(capture, plane, roi)[0] for capture in captures]
+    return frame_moments(views, plane_black_dn(captures[0], plane), bad=bad)
+
+
 def _plane_statistics(
-    plane: str, moments: Moments, codes: Mapping[str, Quantity], degree: int, *, relative: bool
+    plane: str, both: tuple[Moments, Moments], codes: Mapping[str, Quantity], degree: int, *, relative: bool
 ) -> PlaneStatistics:
+    moments, clean = both
     rows, cols = moments.shape
     pixels, frames = rows * cols, moments.frames
     temporal = moments.temporal
@@ -142,7 +155,7 @@ def _plane_statistics(
         "gradient_column_dn": gradient_column,
         "outlier_fraction": Quantity(fixed.outliers / pixels, math.sqrt(fixed.outliers + 1) / pixels),
         "noisy_pixel_fraction": noisy_fraction(moments),
-        "trimmed_temporal_variance_dn2": trimmed_temporal(moments),
+        "trimmed_temporal_variance_dn2": trimmed_temporal(moments, clean),
         **codes,
     }
     names = list(quantities)
@@ -218,11 +231,11 @@ def noisy_limit(moments: Moments) -> float:
     return 1.2 * factor * max(center, 1 / 12)
 
 
-def trimmed_temporal(moments: Moments) -> Quantity:
+def trimmed_temporal(moments: Moments, clean: Moments) -> Quantity:
     """Temporal variance without the noisy pixels, DN^2 (the cut takes less than 1e-6 of normal noise)."""
     if moments.frames < 2:
         return Quantity(NAN, NAN, "DN^2")
-    pixels = moments.pixel_variance[moments.pixel_variance <= noisy_limit(moments)]
+    pixels = clean.pixel_variance[moments.pixel_variance <= noisy_limit(moments)]
     spread = float(np.var(pixels, dtype=np.float64))
     return Quantity(float(pixels.mean(dtype=np.float64)), math.sqrt(spread / pixels.size), "DN^2")
 

@@ -217,7 +217,7 @@ def _default(
     read_dn = _read_noise_dn(fit, reference)
     flags += () if reference is not None else ("read_noise_extrapolated",)
     straight = response is not None or (_timed(used) and used[-1].mean_dn > 0)
-    bend = Quantity(fit.quadratic, fit.quadratic_sigma)
+    bend = _bend(fit, response)
     if not straight and abs(bend.value) > 3 * bend.sigma:
         flags += ("bend_of_unknown_cause",)
     return PlaneTransfer(
@@ -225,7 +225,7 @@ def _default(
         gain_dn_per_e=gain,
         read_noise_e=_in_electrons(read_dn, gain),
         read_noise_dn=read_dn,
-        prnu=prnu_percent(series, reference),
+        prnu=prnu_percent(series, reference, response),
         dsnu_e=_dsnu_e(reference, gain),
         black_dn=series.black_dn,
         quadratic=bend,
@@ -241,6 +241,14 @@ def _default(
         fit=fit,
         choices={"cut_dn": series.cut_dn, "weights": dict(fit.weights)},
     )
+
+
+def _bend(fit: CurveFit, response: Response | None) -> Quantity:
+    """Coefficient c of the variance curve; of the straightened one where the response is known."""
+    if response is not None and "straight2" in fit.fits:
+        best = fit.fits["straight2"]
+        return Quantity(float(best.coefficients[2]), math.sqrt(float(best.covariance[2, 2])))
+    return Quantity(fit.quadratic, fit.quadratic_sigma)
 
 
 def _timed(used: Sequence[Level]) -> bool:
