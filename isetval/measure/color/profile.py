@@ -1,0 +1,309 @@
+"""Values along a line (inter-reflection profiles): per colour plane, with channel ratios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.errors import InputError, MeasurementError
+
+Float = NDArray[np.float64]
+Pair = tuple[float, float]
+RATIOS = (("G/R", "G", "R"), ("B/G", "B", "G"), ("B/R", "B", "R"))
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileSegment:
+    """Mean of a part of the line: one grey patch of a row.
+
+    ``mean_dn``, ``sigma_dn`` and ``slope_dn_per_px`` by plane; ``ratio`` and ``ratio_sigma`` by ratio name.
+    """
+
+    name: str
+    start_px: float
+    end_px: float
+    mean_dn: Mapping[str, float]
+    sigma_dn: Mapping[str, float]
+    slope_dn_per_px: Mapping[str, float]
+    ratio: Mapping[str, float]
+    ratio_sigma: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class LineProfile:
+    """Values along a line.
+
+    Parameters
+    ----------
+    position_px, position_um : (bins,)
+        Distance of the bins' middles from the start, in sensor pixels and um on the sensor.
+    row_px, col_px : (bins,)
+        Their places in pixels of the capture.
+    value_dn, sigma_dn : mapping of plane to (bins,)
+        Mean above black across the line, and its standard deviation; ``"G"`` is the mean of both greens.
+        NaN where a bin holds no pixel of the plane.
+    ratio, ratio_sigma : mapping to (bins,)
+        ``G/R``, ``B/G``, ``B/R`` with black removed; NaN where the divisor is below 3 sigma.
+    clipped : (bins,)
+        Whether a bin holds clipped pixels.
+    """
+
+    position_px: Float
+    position_um: Float
+    row_px: Float
+    col_px: Float
+    value_dn: Mapping[str, Float]
+    sigma_dn: Mapping[str, Float]
+    pixels: Mapping[str, NDArray[np.int64]]
+    ratio: Mapping[str, Float]
+    ratio_sigma: Mapping[str, Float]
+    clipped: NDArray[np.bool_]
+    segments: tuple[ProfileSegment, ...] = ()
+    warnings: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    along_px: Float
+    value_dn: Float
+    variance_dn2: Float
+    clipped: NDArray[np.bool_]
+
+
+def line_profile(
+    capture: Capture,
+    start: Pair | None = None,
+    end: Pair | None = None,
+    *,
+    width_px: float = 8.0,
+    step_px: float = 2.0,
+    box: Roi | None = None,
+    axis: str = "cols",
+    segments: Sequence[tuple[str, float, float]] = (),
+    black_sigma_dn: float = 0.0,
+) -> LineProfile:
+    """Values along a line per colour plane, averaged across it.
+
+    Parameters
+    ----------
+    capture : Capture
+    start, end : (row, col), optional
+        Ends of the line in pixels of the capture.
+    width_px : float
+        Width of the strip that is averaged, in pixels.
+    step_px : float
+        Length of a bin along the line in pixels (2: one pixel of each colour).
+    box : (row0, row1, col0, col1), optional
+        Instead of a line: an upright region, averaged over its rows (``axis="cols"``: position runs along the
+        columns) or over its columns (``axis="rows"``).
+    segments : sequence of (name, start_px, end_px), optional
+        Parts of the line (the grey patches) to average, in distance from the start.
+    black_sigma_dn : float
+        Standard deviation of the black level, added to the ratios' sigma.
+
+    Returns
+    -------
+    LineProfile
+
+    Raises
+    ------
+    InputError
+        When the line leaves the capture, is too short, or nothing was given.
+    """
+    first, last, width = _ends(capture, start, end, width_px=width_px, box=box, axis=axis)
+    length = float(np.hypot(*(last - first)))
+    if not (step_px > 0 and width > 0 and length >= 2 * step_px):
+        raise InputError(
+            f"the line is {length:.1f} px long with bins of {step_px} px and width {width}; it needs at least two bins"
+        )
+    edges = np.arange(0, length + 1e-9, step_px)
+    middle = (edges[:-1] + edges[1:]) / 2
+    strips = {p: _strip(capture, p, first, last, width) for p in planes_of(capture)}
+    values, sigmas, pixels = {}, {}, {}
+    clipped = np.zeros(middle.size, dtype=bool)
+    for plane, strip in strips.items():
+        values[plane], sigmas[plane], pixels[plane], flags = _bins(strip, edges)
+        clipped |= flags
+    if "Gr" in values:
+        values["G"], sigmas["G"] = _green(values, sigmas)
+    ratio, ratio_sigma = _ratios(values, sigmas, black_sigma_dn)
+    direction = (last - first) / length
+    warnings = [f"{int(clipped.sum())} of {clipped.size} bins hold clipped pixels"] if clipped.any() else []
+    return LineProfile(
+        position_px=middle,
+        position_um=middle * capture.sensor.pixel_um,
+        row_px=first[0] + direction[0] * middle,
+        col_px=first[1] + direction[1] * middle,
+        value_dn=values,
+        sigma_dn=sigmas,
+        pixels=pixels,
+        ratio=ratio,
+        ratio_sigma=ratio_sigma,
+        clipped=clipped,
+        segments=tuple(_segment(strips, s, black_sigma_dn) for s in segments),
+        warnings=tuple(warnings),
+        settings={"start": tuple(first), "end": tuple(last), "width_px": width, "step_px": step_px},
+    )
+
+
+def _ends(
+    capture: Capture, start: Pair | None, end: Pair | None, *, width_px: float, box: Roi | None, axis: str
+) -> tuple[Float, Float, float]:
+    """Both ends and the width of the strip."""
+    if box is not None:
+        row0, row1, col0, col1 = check_roi(capture, box)
+        if axis not in ("rows", "cols"):
+            raise InputError(f"axis is {axis!r}; it needs rows or cols: the direction in which position runs")
+        if axis == "cols":
+            row = (row0 + row1 - 1) / 2
+            return np.array([row, col0 - 0.5]), np.array([row, col1 - 0.5]), float(row1 - row0)
+        col = (col0 + col1 - 1) / 2
+        return np.array([row0 - 0.5, col]), np.array([row1 - 0.5, col]), float(col1 - col0)
+    if start is None or end is None:
+        raise InputError("line_profile needs start and end, each (row, col), or a box")
+    first, last = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    rows, cols = capture.mosaic.shape
+    for point in (first, last):
+        if point.shape != (2,) or not (-0.5 <= point[0] <= rows - 0.5 and -0.5 <= point[1] <= cols - 0.5):
+            raise InputError(
+                f"the line's end {tuple(float(v) for v in point)} (row, col) lies outside the capture of {rows} x {cols} pixels"
+            )
+    return first, last, float(width_px)
+
+
+def _strip(capture: Capture, plane: str, first: Float, last: Float, width: float) -> _Pixels:
+    """Pixels of a plane within half the width of the line, with the noise variance of each."""
+    rows, cols = capture.mosaic.shape
+    low = np.floor(np.minimum(first, last) - width).astype(int)
+    high = np.ceil(np.maximum(first, last) + width).astype(int) + 1
+    box = (max(low[0], 0), min(high[0], rows), max(low[1], 0), min(high[1], cols))
+    view, origin, step = plane_view(capture, plane, box)
+    length = float(np.hypot(*(last - first)))
+    direction = (last - first) / length
+    row = origin[0] + step * np.arange(view.shape[0])[:, None] - first[0]
+    col = origin[1] + step * np.arange(view.shape[1])[None, :] - first[1]
+    along = row * direction[0] + col * direction[1]
+    across = np.abs(col * direction[0] - row * direction[1])
+    inside = (along >= 0) & (along < length) & (across <= width / 2)
+    if not inside.any():
+        raise MeasurementError(f"the strip of {width} px holds no pixel of plane {plane}: widen it to at least 2 px")
+    raw = view[inside]
+    values = view.astype(np.float64)
+    return _Pixels(
+        along[inside],
+        raw - plane_black_dn(capture, plane),
+        _local_variance(values, direction)[inside],
+        np.asarray((raw >= capture.sensor.white_dn) | (raw == 0)),
+    )
+
+
+def _local_variance(values: Float, direction: Float) -> Float:
+    """Half the squared difference of neighbours across the line (same place on the line, hence little signal)."""
+    axis = 0 if abs(direction[1]) >= abs(direction[0]) else 1
+    if values.shape[axis] < 2:
+        axis = 1 - axis
+    if values.shape[axis] < 2:
+        return np.zeros_like(values)
+    square = np.diff(values, axis=axis) ** 2 / 2
+    before = np.concatenate([square, np.take(square, [-1], axis=axis)], axis=axis)
+    after = np.concatenate([np.take(square, [0], axis=axis), square], axis=axis)
+    return np.asarray((before + after) / 2)
+
+
+def _bins(strip: _Pixels, edges: Float) -> tuple[Float, Float, NDArray[np.int64], NDArray[np.bool_]]:
+    """Mean at each bin's middle, its sigma, pixels and clipping; noise smoothed over 9 bins."""
+    count = edges.size - 1
+    index = np.clip(np.searchsorted(edges, strip.along_px, side="right") - 1, 0, count - 1)
+    pixels = np.bincount(index, minlength=count)
+    safe = np.maximum(pixels, 1)
+    mean = np.bincount(index, strip.value_dn, minlength=count) / safe
+    place = np.bincount(index, strip.along_px, minlength=count) / safe
+    noise = np.bincount(index, strip.variance_dn2, minlength=count)
+    window = np.ones(9)
+    pooled = np.convolve(noise, window, mode="same") / np.maximum(np.convolve(pixels, window, mode="same"), 1)
+    filled = pixels > 0
+    middle = (edges[:-1] + edges[1:]) / 2
+    value = np.full(count, np.nan)
+    if filled.sum() > 1:
+        slope = np.interp(middle, place[filled], np.gradient(mean[filled], place[filled]))
+        slope = np.where(_steady(mean, place, filled), slope, 0.0)
+        value[filled] = (mean + slope * (middle - place))[filled]
+    else:
+        value[filled] = mean[filled]
+    floor = 1 / 12
+    sigma = np.where(filled, np.sqrt(np.maximum(pooled, floor) / safe), np.nan)
+    flags = np.bincount(index, strip.clipped.astype(float), minlength=count) > 0
+    return value, sigma, pixels.astype(np.int64), flags
+
+
+def _steady(mean: Float, place: Float, filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where a pixel's place off the bin's middle is worth correcting: neighbours on both sides present."""
+    both = np.zeros(filled.size, dtype=bool)
+    both[1:-1] = filled[:-2] & filled[1:-1] & filled[2:]
+    return both
+
+
+def _green(values: Mapping[str, Float], sigmas: Mapping[str, Float]) -> tuple[Float, Float]:
+    """Mean of both greens, or the one that is there."""
+    stack, spread = np.stack([values["Gr"], values["Gb"]]), np.stack([sigmas["Gr"], sigmas["Gb"]])
+    there = np.isfinite(stack)
+    number = there.sum(axis=0)
+    total = np.where(there, stack, 0).sum(axis=0)
+    noise = np.sqrt(np.where(there, spread**2, 0).sum(axis=0))
+    none = number == 0
+    safe = np.maximum(number, 1)
+    return np.where(none, np.nan, total / safe), np.where(none, np.nan, noise / safe)
+
+
+def _ratios(
+    values: Mapping[str, Float], sigmas: Mapping[str, Float], black_sigma_dn: float
+) -> tuple[dict[str, Float], dict[str, Float]]:
+    ratio, spread = {}, {}
+    for name, above, below in RATIOS:
+        if above in values and below in values:
+            top, bottom = np.asarray(values[above]), np.asarray(values[below])
+            usable = np.isfinite(top) & np.isfinite(bottom) & (bottom > 3 * np.hypot(sigmas[below], black_sigma_dn))
+            safe = np.where(usable, bottom, 1.0)
+            value = np.where(usable, top / safe, np.nan)
+            noise = np.hypot(sigmas[above], value * sigmas[below])
+            ratio[name] = value
+            spread[name] = np.where(usable, np.hypot(noise, (1 - value) * black_sigma_dn) / safe, np.nan)
+    return ratio, spread
+
+
+def _segment(strips: Mapping[str, _Pixels], segment: tuple[str, float, float], black_sigma_dn: float) -> ProfileSegment:
+    """Mean, sigma and slope of the pixels between two distances, and the ratios of the means."""
+    name, start, end = segment
+    mean, sigma, slope = {}, {}, {}
+    for plane, strip in strips.items():
+        inside = (strip.along_px >= start) & (strip.along_px < end)
+        count = int(inside.sum())
+        if count < 4:
+            raise MeasurementError(
+                f"segment {name!r} from {start} to {end} px holds {count} pixels of plane {plane}; it needs at least 4"
+            )
+        place = strip.along_px[inside] - (start + end) / 2
+        fit = np.linalg.lstsq(np.stack([np.ones(count), place], axis=1), strip.value_dn[inside], rcond=None)[0]
+        mean[plane], slope[plane] = float(fit[0]), float(fit[1])
+        sigma[plane] = float(np.sqrt(max(float(strip.variance_dn2[inside].mean()), 1 / 12) / count))
+    if "Gr" in mean:
+        mean["G"], sigma["G"] = (mean["Gr"] + mean["Gb"]) / 2, float(np.hypot(sigma["Gr"], sigma["Gb"])) / 2
+        slope["G"] = (slope["Gr"] + slope["Gb"]) / 2
+    arrays = [{k: np.array([v]) for k, v in d.items()} for d in (mean, sigma)]
+    ratio, ratio_sigma = _ratios(arrays[0], arrays[1], black_sigma_dn)
+    return ProfileSegment(
+        name,
+        float(start),
+        float(end),
+        mean,
+        sigma,
+        slope,
+        {k: float(v[0]) for k, v in ratio.items()},
+        {k: float(v[0]) for k, v in ratio_sigma.items()},
+    )
