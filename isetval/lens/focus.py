@@ -15,6 +15,7 @@ from isetval.lens.psf import spot
 from isetval.lens.ray_transfer import RayTransferLens
 
 NEAREST_OBJECT_M = 0.02
+SCAN = 17
 
 
 def spot_radius_mm(
@@ -38,7 +39,7 @@ def spot_radius_mm(
     wavelength_nm : float
         Nearest table; default 550.
     """
-    s = spot(lens, r_mm=r_mm, film_mm=film_mm, object_m=object_m, wavelength_nm=wavelength_nm)
+    s = spot(lens, r_mm=r_mm, film_mm=film_mm, object_m=object_m, wavelength_nm=wavelength_nm, rings=6, azimuths=24)
     return float(np.sqrt((s.weight * (s.offset_mm**2).sum(axis=0)).sum()))
 
 
@@ -67,7 +68,8 @@ def film_for_object(
     def blur(film_mm: float) -> float:
         return spot_radius_mm(lens, film_mm=film_mm, object_m=object_m, r_mm=r_mm, wavelength_nm=wavelength_nm)
 
-    low, high = start - reach, start + reach
+    nearest = lens.plane_offset_input_mm - 0.9 * float(lens.table(wavelength_nm).region.plane_distance_mm)
+    low, high = max(start - reach, nearest), start + reach
     found = _minimum(blur, low, high)
     if min(found - low, high - found) < 0.01 * reach:
         raise InputError(
@@ -145,7 +147,7 @@ def _minimum(function: Callable[[float], float], low: float, high: float, tolera
     """Position of the smallest value: coarse scan, then bounded Brent."""
     from scipy.optimize import minimize_scalar
 
-    grid = np.linspace(low, high, 33)
+    grid = np.linspace(low, high, SCAN)
     best = int(np.argmin([function(float(x)) for x in grid]))
-    bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, 32)]))
+    bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, SCAN - 1)]))
     return float(minimize_scalar(function, bounds=bounds, method="bounded", options={"xatol": tolerance}).x)

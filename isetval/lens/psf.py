@@ -214,7 +214,7 @@ def lsf(s: Spot, position_mm: npt.ArrayLike, *, tangential: bool = True) -> Floa
     return np.asarray(counts / step, dtype=np.float64)
 
 
-def psf(s: Spot, *, pixel_mm: float, pixels: int) -> FloatArray:
+def psf_image(s: Spot, *, pixel_mm: float, pixels: int) -> FloatArray:
     """Point-spread function: share of the light per pixel, (pixels, pixels), rows along y, centered on the mean."""
     edges = (np.arange(pixels + 1) - pixels / 2) * pixel_mm
     image, _, _ = np.histogram2d(s.offset_mm[1], s.offset_mm[0], bins=(edges, edges), weights=s.weight)
