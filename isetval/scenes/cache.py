@@ -8,6 +8,7 @@ as absent; a folder that cannot be written means that nothing is kept, never tha
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import tempfile
@@ -75,8 +76,6 @@ def write_whole(path: Path, data: bytes) -> bool:
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bool:
     """Save arrays as one ``.npz`` file, whole or not at all; False where it cannot be written."""
-    import io
-
     buffer = io.BytesIO()
     np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
     return write_whole(path, buffer.getvalue())
@@ -85,7 +84,7 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bool:
 def load_arrays(path: Path) -> Arrays | None:
     """The arrays of a ``.npz`` file; None if it is absent or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
+from isetval.scenes import ray_sensor
 from isetval.scenes.spectra import band_feet_nm
 
 Float = NDArray[np.float64]
@@ -57,9 +58,9 @@ def band_channels(wavelength_nm: Sequence[float]) -> dict[str, Any]:
     """Triangular channels of unit area, so that a channel is the mean radiance over its band."""
     low, high = (feet.tolist() for feet in band_feet_nm(wavelength_nm))
     channels = {}
-    for i, (a, c, b) in enumerate(zip(low, wavelength_nm, high, strict=True)):
+    for i, (a, c, b) in enumerate(zip(low, map(float, wavelength_nm), high, strict=True)):
         top = 2 / (b - a)
-        points = [(a, 0.0)] * (a < c) + [(float(c), top)] + [(b, 0.0)] * (b > c)
+        points = [(a, 0.0)] * (a < c) + [(c, top)] + [(b, 0.0)] * (b > c)
         grid, values = (_numbers(column) for column in zip(*points, strict=True))
         channels[f"band_{i:03d}"] = {"type": "irregular", "wavelengths": grid, "values": values}
     return channels
@@ -156,6 +157,8 @@ class Tile:
     wavelength_nm : sequence of float
     variant, library : str
         As chosen by :func:`isetval.scenes.variants.choose_variant`.
+    lens : LensTables, optional
+        Trace every ray through this lens; passes are then spectral irradiance, W/(m2 nm).
     """
 
     def __init__(
@@ -167,14 +170,22 @@ class Tile:
         wavelength_nm: Sequence[float],
         variant: str,
         library: str = "",
+        lens: ray_sensor.LensTables | None = None,
     ) -> None:
         self._mi = load_mitsuba(variant, library)
         self._spec, self._camera, self._crop = spec, camera, crop
-        sensor = sensor_plugin(self._mi, camera, film_plugin(camera, crop, wavelength_nm))
+        film = film_plugin(camera, crop, wavelength_nm)
+        if lens is None:
+            sensor = sensor_plugin(self._mi, camera, film)
+        else:
+            import drjit
+
+            ray_sensor.register(self._mi, drjit)
+            sensor = ray_sensor.sensor_plugin(self._mi, lens, camera, film)
         self._scene = build_scene(self._mi, spec, sensor, path_integrator(spec["bounces"]))
 
     def radiance(self, seed: int, spp: int) -> Float:
-        """Mean spectral radiance of one pass, (bands, rows, cols), W/(sr m2 nm)."""
+        """Mean spectral radiance of one pass, (bands, rows, cols), W/(sr m2 nm); irradiance through a lens."""
         image = np.array(self._mi.render(self._scene, seed=seed, spp=spp), dtype=np.float64)
         return np.ascontiguousarray(np.moveaxis(image, -1, 0))
 

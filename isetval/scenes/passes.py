@@ -144,6 +144,29 @@ class Render:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
+class Irradiance:
+    """Spectral irradiance on a crop of the sensor, integrated over square pixels (fill factor 1).
+
+    Parameters
+    ----------
+    irradiance : float32 (bands, rows, cols)
+        W/(m2 nm), mean over triangular bands and over each pixel.
+    variance : float32 (bands, rows, cols)
+        Variance of it from the render's noise.
+    wavelength_nm : (bands,)
+    crop : (row0, col0, rows, cols)
+    settings : mapping
+        How it was made; ``light_factor`` is the named factor on the light, 1 for the lens as its file says.
+    """
+
+    irradiance: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    wavelength_nm: Float
+    crop: Crop
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
 def pass_seed(seed: int, tile: Crop, index: int) -> int:
     """32-bit seed of one pass of one tile.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from isetval.core.errors import InputError
 from isetval.scenes import cache as store
 from isetval.scenes.passes import Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
+from isetval.scenes.ray_sensor import LensTables
 from isetval.scenes.spectra import band_feet_nm
 from isetval.scenes.variants import VariantChoice, choose_variant, mitsuba_version
 
@@ -73,53 +75,60 @@ def render(
     MissingPartError
         For a variant that does not work here.
     """
-    camera = check_camera(camera)
-    crop = check_crop(crop, camera)
-    bands = np.asarray(wavelength_nm, float)
-    band_feet_nm(bands)
-    if isinstance(noise_target, float | int):
-        noise_target = NoiseTarget(relative_sd=float(noise_target))
     choice = choose_variant(variant)
-    tiles = split_tiles(crop)
-    begun = time.perf_counter()
-    job = _Job(spec, camera, bands, spp, seed, noise_target, choice, cache, progress, len(tiles))
-    radiance, variance = (np.empty((len(bands), *crop[2:]), np.float32) for _ in range(2))
-    depth = np.empty(crop[2:], np.float32)
-    reports = []
-    for index, tile in enumerate(tiles):
-        running, tile_depth, report = job.render_tile(index, tile)
-        rows, cols = (slice(tile[i] - crop[i], tile[i] - crop[i] + tile[i + 2]) for i in (0, 1))
-        radiance[:, rows, cols], variance[:, rows, cols] = running.mean, running.variance_of_mean
-        depth[rows, cols] = tile_depth
-        reports.append(report)
-    settings = job.settings() | {"crop": list(crop), "tiles": reports, "seconds": time.perf_counter() - begun}
-    return Render(radiance, variance, depth, bands, crop, settings)
+    job = Job(spec, camera, wavelength_nm, spp, seed, noise_target, choice, cache, progress)
+    radiance, variance, depth, settings = job.run(crop)
+    assert depth is not None
+    return Render(radiance, variance, depth, job.bands, settings["crop"], settings)
 
 
-class _Job:
-    """What the tiles of one render share."""
+class Job:
+    """What the tiles of one render share; with ``lens`` the rays go through it and there is no depth."""
 
     def __init__(
         self,
         spec: Mapping[str, Any],
         camera: Mapping[str, Any],
-        bands: NDArray[np.float64],
+        wavelength_nm: ArrayLike,
         spp: int,
         seed: int,
-        target: NoiseTarget | None,
+        target: float | NoiseTarget | None,
         choice: VariantChoice,
         keep: bool,
         progress: Progress | None,
-        tiles: int,
+        lens: LensTables | None = None,
     ) -> None:
         if spp < 2:
             raise InputError(f"spp is {spp}; a render needs 2 or more, its variance is measured between passes")
-        self.spec, self.camera, self.bands = spec, camera, bands
-        self.spp, self.seed, self.target, self.choice = int(spp), int(seed), target, choice
-        self.keep, self.progress, self.tiles = keep, progress, tiles
-        self.content = scene_content(spec, camera)
+        self.spec, self.camera = spec, check_camera(camera)
+        self.bands = np.asarray(wavelength_nm, float)
+        band_feet_nm(self.bands)
+        self.target = NoiseTarget(relative_sd=float(target)) if isinstance(target, float | int) else target
+        self.spp, self.seed, self.choice, self.lens = int(spp), int(seed), choice, lens
+        self.keep, self.progress, self.tiles = keep, progress, 1
+        self.content = scene_content(spec, self.camera) | ({} if lens is None else {"lens": asdict(lens)})
+
+    def run(self, crop: Crop | None) -> tuple[Any, Any, NDArray[np.float32] | None, dict[str, Any]]:
+        """Mean and variance (bands, rows, cols), depth (rows, cols) or None, settings."""
+        begun = time.perf_counter()
+        crop = check_crop(crop, self.camera)
+        tiles = split_tiles(crop, TILE_PX)
+        self.tiles = len(tiles)
+        mean, variance = (np.empty((len(self.bands), *crop[2:]), np.float32) for _ in range(2))
+        depth = np.empty(crop[2:], np.float32) if self.lens is None else None
+        reports = []
+        for index, tile in enumerate(tiles):
+            running, tile_depth, report = self.render_tile(index, tile)
+            rows, cols = (slice(tile[i] - crop[i], tile[i] - crop[i] + tile[i + 2]) for i in (0, 1))
+            mean[:, rows, cols], variance[:, rows, cols] = running.mean, running.variance_of_mean
+            if depth is not None:
+                depth[rows, cols] = tile_depth
+            reports.append(report)
+        done = {"crop": crop, "tiles": reports, "seconds": time.perf_counter() - begun}
+        return mean, variance, depth, self.settings() | done
 
     def settings(self) -> dict[str, Any]:
+        """What it takes to render this again."""
         return {
             "scene": self.spec.get("name", ""),
             "scene_key": store.content_key(self.content),
@@ -149,7 +158,8 @@ class _Job:
             }
         )
 
-    def render_tile(self, index: int, tile: Crop) -> tuple[Running, NDArray[np.float64], dict[str, Any]]:
+    def render_tile(self, index: int, tile: Crop) -> tuple[Running, NDArray[np.float64] | None, dict[str, Any]]:
+        """Mean and variance of one tile, its depth, and what was done."""
         passes, spp_per_pass = split_passes(self.spp, tile[2] * tile[3])
         plan = PassPlan(tile, passes, spp_per_pass, self.seed, self.target)
         folder = store.cache_folder() / "renders" / self._key(plan) if self.keep else None
@@ -163,7 +173,7 @@ class _Job:
                 )
 
         running, noise = run_passes(plan, lazy.radiance, bands=len(self.bands), folder=folder, progress=report)
-        depth = _cached_depth(folder, tile, lazy)
+        depth = None if self.lens else _cached_depth(folder, tile, lazy)
         done = {"tile": list(tile), "passes": running.count, "spp": running.count * spp_per_pass, "noise": noise}
         return running, depth, done
 
@@ -171,7 +181,7 @@ class _Job:
 class _LazyTile:
     """Loads the scene only when a pass is really needed."""
 
-    def __init__(self, job: _Job, tile: Crop) -> None:
+    def __init__(self, job: Job, tile: Crop) -> None:
         self._job, self._tile = job, tile
         self._loaded: Any = None
 
@@ -187,6 +197,7 @@ class _LazyTile:
                 wavelength_nm=job.bands.tolist(),
                 variant=job.choice.variant,
                 library=job.choice.library,
+                lens=job.lens,
             )
         return self._loaded
 
@@ -264,7 +275,7 @@ def check_crop(crop: Sequence[int] | None, camera: Mapping[str, Any]) -> Crop:
     return (row0, col0, height, width)
 
 
-def split_tiles(crop: Crop, size_px: int = TILE_PX) -> tuple[Crop, ...]:
+def split_tiles(crop: Crop, size_px: int) -> tuple[Crop, ...]:
     """The crop cut into tiles of at most ``size_px`` squared; memory and resume work tile by tile."""
     row0, col0, rows, cols = crop
     return tuple(
