@@ -85,10 +85,13 @@ def sfr(
         look = first_look(samples)
     nothing = not_an_edge(samples, look)
     if nothing or look is None:
-        flags = {"no_edge": nothing or ""}
-        flags |= _saturated(samples)
-        return refused(capture, box, channel=channel, flags=flags)
-    estimate = measure_edge(samples, look, floor=ROUNDING_VARIANCE, choices=choices)
+        code, sentence = nothing or ("no_edge", "")
+        return refused(capture, box, channel=channel, flags={code: sentence} | _saturated(samples))
+    try:
+        estimate = measure_edge(samples, look, floor=ROUNDING_VARIANCE, choices=choices)
+    except np.linalg.LinAlgError:
+        message = "no single edge explains the region; choose a region with one edge"
+        return refused(capture, box, channel=channel, flags={"two_edges": message})
     return _report(capture, box, channel, samples, look, estimate)
 
 

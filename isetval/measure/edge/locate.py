@@ -163,3 +163,37 @@ def _tukey(p: Float, x: Float, step_px: float) -> tuple[Float, float]:
         scale = new
         w = np.where(r < 6 * scale, (1 - (r / (6 * scale)) ** 2) ** 2, 0.0) if turn > 0 else 1 / np.maximum(r, scale / 2)
     return c, scale
+
+
+def pixel_noise(values: Float) -> float:
+    """Standard deviation of a sample from the differences of neighbours; edges and outliers do not count."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values[::2], axis=1)))) / np.sqrt(2)
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Shares of the rows with more than one transition between the levels, and with one of the rarer sign."""
+
+    several: float
+    against: float
+    clear: bool
+
+
+def transitions(values: Float, dark: float, bright: float, noise: float) -> Transitions:
+    """Count transitions per row with hysteresis, on rows smoothed by up to 5 samples (every third row)."""
+    step = bright - dark
+    part = values[::3]
+    taps = 5 if part.shape[1] >= 30 else 3
+    walk = np.cumsum(part, axis=1)
+    smooth = (walk[:, taps:] - walk[:, :-taps]) / taps
+    middle = (dark + bright) / 2
+    state = (smooth > middle + 0.2 * step).astype(np.int8) - (smooth < middle - 0.2 * step)
+    place = np.maximum.accumulate(np.where(state != 0, np.arange(state.shape[1]), 0), axis=1)
+    filled = np.take_along_axis(state, place, axis=1)
+    change = np.diff(filled, axis=1)
+    real = (change != 0) & (filled[:, :-1] != 0)
+    count = real.sum(axis=1)
+    sign = np.sign((change * real).sum(axis=1))
+    single = count == 1
+    up, down = float(np.mean(single & (sign > 0))), float(np.mean(single & (sign < 0)))
+    return Transitions(float(np.mean(count > 1)), min(up, down), step > 2.5 * noise)

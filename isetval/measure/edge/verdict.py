@@ -15,20 +15,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge.estimate import Estimate
-from isetval.measure.edge.locate import FirstLook
+from isetval.measure.edge.estimate import Estimate, first_width
+from isetval.measure.edge.locate import FirstLook, pixel_noise, transitions, two_levels
 from isetval.measure.edge.refine import distances, gain_of
 from isetval.measure.edge.samples import Samples
 
 Float = NDArray[np.float64]
 
-MIN_SIDE_PX = {"MONO": 20, "G": 28, "Gr": 40, "Gb": 40, "R": 40, "B": 40}
+MIN_SIDE_PX = {"MONO": 24, "G": 28, "Gr": 40, "Gb": 40, "R": 40, "B": 40}
 GOOD_LENGTH_PX = {"MONO": 35, "G": 70, "Gr": 140, "Gb": 140, "R": 140, "B": 140}
 MIN_STEP_SIGMA = 5.0
 MIN_ANGLE_DEG = 0.75
 SHALLOW_DEG = 3.0
 MAX_CLIPPED = 0.08
 SECOND_EDGE = 0.12
+MISFIT = 0.07
+ROUNDING = 1 / 12
 
 
 @dataclass(frozen=True)
@@ -49,18 +51,42 @@ def too_small(samples: Samples, channel: str) -> str | None:
     return f"the region is {height:g} x {width:g} px; channel {channel} needs at least {need} px a side: enlarge it"
 
 
-def not_an_edge(samples: Samples, look: FirstLook | None) -> str | None:
-    """Sentence if the rows do not agree on an edge."""
+def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | None:
+    """Code and sentence if the rows do not agree on one edge."""
+    dark, bright = two_levels(samples.values)
+    noise = pixel_noise(samples.values)
+    seen = transitions(samples.values, dark, bright, noise)
+    if seen.clear and (seen.several > 0.2 or seen.against > 0.2):
+        return "two_edges", (
+            f"{100 * seen.several:.0f} % of the rows cross between dark and bright more than once"
+            + (" and others in opposite directions" if seen.against > 0.2 else "")
+            + "; choose a region with a single edge"
+        )
     if look is None:
-        return "no row of the region crosses from dark to bright; place the region on an edge"
+        return "no_edge", "no row of the region crosses from dark to bright; place the region on an edge"
     reach = samples.step_px * samples.values.shape[1]
-    seen = int(look.rows_used.sum())
-    if seen < max(8, 0.2 * len(look.rows_used)) or look.scatter_px > 0.12 * reach:
-        return (
-            f"{seen} of {len(look.rows_used)} rows cross and scatter by {look.scatter_px:.1f} px about the best curve; "
+    rows = int(look.rows_used.sum())
+    if rows < max(8, 0.2 * len(look.rows_used)) or look.scatter_px > 0.12 * reach:
+        return "no_edge", (
+            f"{rows} of {len(look.rows_used)} rows cross and scatter by {look.scatter_px:.1f} px about the best curve; "
             "place the region on one edge"
         )
+    if first_width(samples, look.line, look) > 0.12 * reach:
+        return "no_edge", f"the level changes smoothly over more than a quarter of the {reach:g} px: no edge, or one too blurred for the region"
     return None
+
+
+def misfit(samples: Samples, look: FirstLook, estimate: Estimate) -> str | None:
+    """Sentence if one edge does not explain the region at all."""
+    step, seen = estimate.fit.step, look.bright - look.dark
+    noise = max(pixel_noise(samples.values), float(np.sqrt(ROUNDING)))
+    scatter = float(np.sqrt(estimate.binned.scatter.sum() / estimate.binned.number.sum()))
+    if 0.4 * seen < step < 2.5 * seen and scatter < max(4 * noise, MISFIT * step):
+        return None
+    return (
+        f"values at equal distance from the best edge scatter by {scatter:.3g} DN (noise {noise:.2g} DN, step {seen:.4g} DN): "
+        "a corner, a pattern or several edges; choose a region with a single edge"
+    )
 
 
 def judge(samples: Samples, look: FirstLook, estimate: Estimate, *, channel: str, angle_deg: float, length_px: float) -> Verdict:
@@ -68,6 +94,9 @@ def judge(samples: Samples, look: FirstLook, estimate: Estimate, *, channel: str
     flags: dict[str, str] = {}
     warnings: dict[str, str] = {}
     distance = distances(samples, estimate.geometry.line)
+    wrong = misfit(samples, look, estimate)
+    if wrong:
+        return Verdict({"two_edges": wrong}, {})
     _contrast(flags, estimate)
     _angle(flags, warnings, samples, distance, angle_deg)
     _clipping(flags, warnings, samples, estimate, distance)
