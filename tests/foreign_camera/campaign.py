@@ -53,12 +53,12 @@ def light_scales(camera):
     return {name: scene.light_scale(camera.qe.tobytes(), name, camera.f_number, plan.WHITE_E_PER_S) for name in spectra.LIGHTS}
 
 
-def shoot(planned, camera, lights, seed, *, blur_chart=True):
+def shoot(planned, camera, lights, seed, *, blur_chart=True, draw=True):
     """The frames of one shot as codes, (frames, rows, cols) uint16."""
-    place = replace(planned.place, unknown=draw_unknowns(planned, seed))
+    place = replace(planned.place, unknown=draw_unknowns(planned, seed) if draw else {})
     mean = scene.mean_electrons(camera, place, lights, blur_chart=blur_chart)
     rng = _rng(seed, "frames", place.name)
-    lit = place.role != "dark"
+    lit = draw and place.role != "dark"
     frames = []
     for frame in range(planned.frames):
         jitter = 1 + 0.001 * rng.standard_normal() if lit else 1.0
@@ -66,7 +66,7 @@ def shoot(planned, camera, lights, seed, *, blur_chart=True):
     return np.array(frames)
 
 
-def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", "B"), blur_chart=True):
+def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", "B"), blur_chart=True, draw=True):
     """Shoot and write a campaign; the specimen is drawn by ``seed`` too.
 
     Parameters
@@ -77,6 +77,8 @@ def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", 
         Folder with ``camera.toml`` and ``qe.csv`` of the nominal camera.
     hidden : mapping, optional
         Effect name to its parameters (see `truths`).
+    draw : bool
+        Draw the unknowns; without, every unknown is 0 and the light is steady (tests of this camera).
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -85,7 +87,7 @@ def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", 
     camera = specimen_of(nominal, seed, hidden)
     shots = [planned for name in sessions for planned in plan.session(name)]
     for planned in shots:
-        for i, codes in enumerate(shoot(planned, camera, lights, seed, blur_chart=blur_chart)):
+        for i, codes in enumerate(shoot(planned, camera, lights, seed, blur_chart=blur_chart, draw=draw)):
             row0, col0 = planned.place.window[:2]
             phase = [((row0 + r) % 2) + ((col0 + c) % 2) for r in (0, 1) for c in (0, 1)]
             write_dng(

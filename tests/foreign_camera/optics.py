@@ -11,7 +11,8 @@ CORNER_MM = np.hypot(ROWS, COLS) / 2 * PITCH_UM * 1e-3
 CHORDS, SAMPLES, PADDED = 96, 1024, 4096
 FINE_PX = 1 / 64
 REACH_PX = 96.0
-NODES_NM = np.arange(390.0, 721.0, 30.0)
+FAR_UM = 40.0
+NODES_NM = np.arange(390.0, 721.0, 33.0)
 
 
 def pixel_places(window):
@@ -56,7 +57,22 @@ def line_spread(wavelength_um, f_number, defocus_um, angle_rad=0.0, astigmatism_
     field = np.fft.fft(cover * np.exp(2j * np.pi * path), PADDED, axis=1)
     density = np.fft.fftshift(weight @ (field.real**2 + field.imag**2))
     place = (np.arange(PADDED) - PADDED // 2) * wavelength_um * f_number / (PADDED * step / 2)
-    return place, density / density.sum() / (place[1] - place[0])
+    return _with_far_tail(place, density, wavelength_um * f_number)
+
+
+def _with_far_tail(place, density, wave_f_um):
+    """Density of energy 1 whose far part is that of any sharp stop, c/x^2 with c = a/(2 pi^2).
+
+    a = 4 lambda N/pi is the slope of the transfer function at 0, which no aberration changes; the periodic
+    transform folds far light back and is used only near the middle.
+    """
+    c = 4 * wave_f_um / np.pi / (2 * np.pi**2)
+    near = np.abs(place) < FAR_UM
+    core = np.where(near, density, 0.0)
+    step = place[1] - place[0]
+    edge = place[near][-1] + step / 2
+    core *= (1 - 2 * c / edge) / (core.sum() * step)
+    return place, np.where(near, core, c / np.where(near, 1.0, place) ** 2)
 
 
 def _finer(place, density, factor):
@@ -76,9 +92,10 @@ def edge_spread(wavelength_nm, f_number, defocus_um, angle_rad, diffusion_px=0.0
     smeared by Gaussian diffusion, all by running sums and kernels.
     """
     place, density = line_spread(wavelength_nm * 1e-3, f_number, defocus_um, angle_rad, astigmatism_waves)
-    place, density = _finer(place, density, 8)
+    place, density = _finer(place, density, 16)
     step = place[1] - place[0]
     total = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2) * step])
+    total = total + (0.5 - total[len(total) // 2])
     d = np.arange(-REACH_PX - 8, REACH_PX + 8 + FINE_PX / 2, FINE_PX)
     spread = np.interp(d * PITCH_UM, place, total)
     for width in (abs(np.cos(angle_rad)), abs(np.sin(angle_rad))):

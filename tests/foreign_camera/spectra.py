@@ -9,7 +9,7 @@ import numpy as np
 WAVELENGTH_NM = np.arange(380.0, 740.1, 2.5)
 STEP_NM = 2.5
 H_J_S, C_M_S, K_J_K = 6.62607015e-34, 2.99792458e8, 1.380649e-23
-CSV_NM = np.arange(360.0, 760.1, 2.0)  # what the laboratory's spectroradiometer delivers
+CSV_NM = np.arange(360.0, 760.1, 1.0)  # what the laboratory's spectroradiometer delivers
 
 
 def bell(wavelength_nm, center, width):
