@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
-from isetval.core.signal import Signal
+from isetval.core.signal import Layer, Signal
 from isetval.effects.pupil import BLUE_NM, GREEN_NM, RED_NM, REFERENCE_NM, field_point
 
 Float = NDArray[np.float64]
@@ -172,7 +172,8 @@ class LateralColor(Effect):
 class Distortion(Effect):
     """Third-order distortion: edges move radially with the cube of the field radius, all channels alike.
 
-    The shift of the window's middle is applied to all of the window.  Confounded with scale and pose.
+    Structures that can move pixel by pixel (they have ``moved(down_px, right_px)``) do; others are moved
+    as a whole by the shift of the window's middle.  Confounded with scale and pose.
     """
 
     name = "distortion"
@@ -187,12 +188,23 @@ class Distortion(Effect):
     k1_px: float = parameter(0.0, unit="px", low=-500.0, high=500.0, tau=3.0, doc="shift at the corner")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """A phase factor, the same for all wavelengths."""
-        if not self.k1_px:
+        """Move the structures."""
+        structures = [layer.structure for layer in signal.layers if layer.structure is not None]
+        if not self.k1_px or not structures:
             return signal
-        x, y = field_point(context)
-        shift = self.k1_px * (x * x + y * y)
-        return signal.blurred(partial(_moved, x=x, y=y, shift=lambda wavelength_nm: shift))  # type: ignore[arg-type]
+        if not all(hasattr(structure, "moved") for structure in structures):
+            x, y = field_point(context)
+            shift = self.k1_px * (x * x + y * y)
+            return signal.blurred(partial(_moved, x=x, y=y, shift=lambda wavelength_nm: shift))  # type: ignore[arg-type]
+        x_mm, y_mm = context.xy_mm()
+        half = context.sensor.half_diagonal_mm
+        scale = self.k1_px * (x_mm * x_mm + y_mm * y_mm) / half**3
+        return replace(signal, layers=tuple(_moved_layer(layer, scale * y_mm, scale * x_mm) for layer in signal.layers))
+
+
+def _moved_layer(layer: Layer, down_px: Float, right_px: Float) -> Layer:
+    structure: Any = layer.structure
+    return layer if structure is None else Layer(layer.amplitude, structure.moved(down_px, right_px))
 
 
 def field_mean(signal: Signal, context: Context) -> Float:

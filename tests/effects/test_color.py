@@ -1,0 +1,131 @@
+"""Electrons of colour channels against closed forms."""
+
+import numpy as np
+import pytest
+
+from isetval.core.errors import InputError
+from isetval.core.sensor import Sensor
+from isetval.core.signal import Signal
+from isetval.effects.color import (
+    CfaAngleShift,
+    ChannelGain,
+    ColorFilterArray,
+    IrLeak,
+    QuantumEfficiency,
+    SpectralCrosstalk,
+)
+from isetval.effects.pixel import Microlens
+
+
+@pytest.fixture
+def quantum(tmp_path):
+    """quantum(header, rows) -> QuantumEfficiency with that table."""
+
+    def make(header, rows):
+        lines = [header, *(",".join(str(v) for v in row) for row in rows)]
+        (tmp_path / "qe.csv").write_text("# a remark\n" + "\n".join(lines) + "\n")
+        return QuantumEfficiency(file="qe.csv", base=str(tmp_path))
+
+    return make
+
+
+def test_electrons_of_a_band_of_light(place, light, quantum):
+    """1 uW/m2 in all, at 550 nm in a triangle 10 nm wide: E lambda/(h c) A t QE electrons."""
+    grid = np.array([540.0, 545.0, 550.0, 555.0, 560.0])
+    irradiance = 1e-6 / 10 * np.array([0, 1, 2, 1, 0]) / 2 * 2  # trapezoid area: (1 + 2 + 1) * 5 nm * 1e-7 / ... = 2e-6
+    effect = quantum("wavelength_nm,R,G,B", [(400, 0.1, 0.5, 0.2), (700, 0.1, 0.5, 0.2)])
+    out = effect.apply(light(irradiance, grid), place())
+    photons = (irradiance * grid * 1e-9).sum() * 5 / (6.62607015e-34 * 299792458.0)  # trapezoid with zero ends
+    expected = photons * (1.4e-6) ** 2 * 0.1 * np.array([0.1, 0.5, 0.2])
+    assert out.unit == "electron"
+    np.testing.assert_allclose(out.values[:, 0, 0], expected, rtol=1e-12)
+
+
+def test_photon_number_at_a_known_energy(place, light, quantum):
+    """1 W/m2 at 1239.84 nm is 1 eV per photon: 6.2415e18 photons per s and m2."""
+    effect = quantum("wavelength_nm,R,G,B", [(400, 1, 1, 1), (1500, 1, 1, 1)])
+    out = effect.apply(light((1.0,), (1239.841984,)), place()).values
+    np.testing.assert_allclose(out[:, 0, 0], 6.241509e18 * 1.96e-12 * 0.1, rtol=1e-6)
+
+
+def test_no_exposure_time_no_electrons(place, light, quantum):
+    effect = quantum("wavelength_nm,R,G,B", [(400, 1, 1, 1), (700, 1, 1, 1)])
+    from isetval.core.sensor import Exposure
+
+    assert not effect.apply(light(), place(exposure=Exposure())).values.any()
+
+
+def test_bad_tables_are_refused_by_name(place, light, quantum):
+    with pytest.raises(InputError, match="columns are X, Y, Z; quantum efficiency needs R, G, B"):
+        quantum("wavelength_nm,X,Y,Z", [(400, 1, 1, 1), (700, 1, 1, 1)]).apply(light(), place())
+    with pytest.raises(InputError, match="1 quantum efficiency columns; a RGGB sensor needs 3"):
+        quantum("wavelength_nm,mono", [(400, 1), (700, 1)]).apply(light(), place())
+    with pytest.raises(InputError, match="file is empty"):
+        QuantumEfficiency().apply(light(), place())
+
+
+def test_a_monochrome_sensor_has_one_channel(place, light, quantum):
+    mono = place(sensor=Sensor(3024, 4032, cfa="MONO"))
+    electrons = quantum("wavelength_nm,mono", [(400, 0.5), (700, 0.5)]).apply(light(), mono)
+    assert electrons.values.shape[0] == 1
+    for effect in (SpectralCrosstalk(eps_rg=0.1), ChannelGain(d_red=0.1)):
+        np.testing.assert_array_equal(effect.apply(electrons, mono).values, electrons.values)
+    mosaic = ColorFilterArray().apply(electrons, mono).values
+    assert mosaic.shape == (1, 256, 256)
+
+
+def test_crosstalk_mixes_the_named_channels(place):
+    electrons = Signal.of(np.array([100.0, 200.0, 50.0])[:, None, None] * np.ones((3, 2, 2)), "electron")
+    out = SpectralCrosstalk(eps_rg=0.1, eps_rb=0.02, eps_gr=0.03, eps_bg=0.2).apply(electrons, place()).values[:, 0, 0]
+    np.testing.assert_allclose(out, [100 + 20 + 1, 200 + 3, 50 + 40])
+    out = ChannelGain(d_red=0.1, d_blue=-0.2).apply(electrons, place()).values[:, 0, 0]
+    np.testing.assert_allclose(out, [110, 200, 40])
+
+
+def test_microlens_loses_its_part_in_the_corner_of_each_channel(place):
+    electrons = Signal.of(np.full((3, 1, 1), 1000.0), "electron", shape=(1, 1))
+    effect = Microlens(m_red=0.3, m_green=0.2, m_blue=0.1)
+    corner = effect.apply(electrons, place(window=(0, 0, 1, 1))).values[:, 0, 0]
+    np.testing.assert_allclose(corner, [700, 800, 900], rtol=5e-4)  # the pixel's centre is .7 px inside r = 1
+    half = effect.apply(electrons, place(window=(1511, 2016 + 1260, 1, 1))).values[:, 0, 0]
+    np.testing.assert_allclose(half, [925, 950, 975], rtol=1e-3)  # r^2 = 1/4
+
+
+@pytest.mark.parametrize("cfa", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize("origin", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_mosaic_takes_the_colour_of_each_pixel_of_the_full_sensor(place, cfa, origin):
+    electrons = Signal.of(np.array([1.0, 2.0, 3.0])[:, None, None] * np.ones((3, 6, 6)), "electron")
+    context = place(sensor=Sensor(40, 40, cfa=cfa), window=(*origin, 6, 6))
+    mosaic = ColorFilterArray().apply(electrons, context).values
+    number = {"R": 1.0, "G": 2.0, "B": 3.0}
+    expected = [[number[cfa[(origin[0] + r) % 2 * 2 + (origin[1] + c) % 2]] for c in range(6)] for r in range(6)]
+    np.testing.assert_array_equal(mosaic[0], expected)
+
+
+def test_shifted_filters_are_a_shifted_curve(place, light, quantum):
+    """A linear QE and even photon numbers: QE(lambda - d) lowers the response by slope x d, exactly."""
+    grid = np.arange(400.0, 701.0, 10.0)
+    slope = 1e-3
+    rows = [(400, 0.1, 0.2, 0.1), (700, 0.1 + 300 * slope, 0.2, 0.1)]
+    photons_even = 1 / grid  # irradiance with the same number of photons in each band
+    corner = place(window=(0, 0, 1, 1))
+    effect = quantum("wavelength_nm,R,G,B", rows)
+    still = effect.apply(light(photons_even, grid, (1, 1)), corner).values[:, 0, 0]
+    moved = CfaAngleShift(delta_nm=8.0).apply(light(photons_even, grid, (1, 1)), corner)
+    moved = effect.apply(moved, corner).values[:, 0, 0]
+    np.testing.assert_allclose(moved, still)  # even photons: nothing to see, the spectrum's ends are held
+    triangle = np.maximum(0, 1 - np.abs(grid - 550) / 100) / grid  # photons that end well inside the bands
+    still = effect.apply(light(triangle, grid, (1, 1)), corner).values[:, 0, 0]
+    moved = effect.apply(CfaAngleShift(delta_nm=8.0).apply(light(triangle, grid, (1, 1)), corner), corner).values[:, 0, 0]
+    r2 = (2015.5**2 + 1511.5**2) / 2520.0**2
+    mean_qe = 0.1 + 150 * slope
+    # linear interpolation keeps number and mean wavelength of the photons, so this is exact
+    np.testing.assert_allclose(moved / still, [1 - slope * 8 * r2 / mean_qe, 1, 1], rtol=1e-12)
+
+
+def test_infrared_leak_is_an_added_efficiency_beyond_700_nm(place, light, quantum):
+    grid = np.array([690.0, 700.0, 710.0, 720.0])
+    effect = quantum("wavelength_nm,R,G,B", [(400, 0, 0, 0), (1000, 0, 0, 0)])
+    out = effect.apply(IrLeak(eps=0.02).apply(light(np.ones(4), grid), place()), place()).values[:, 0, 0]
+    photons = (710 * 10 + 720 * 5) * 1e-9 / (6.62607015e-34 * 299792458.0)  # trapezoid weights 10 and 5 nm
+    np.testing.assert_allclose(out, 0.02 * photons * 1.96e-12 * 0.1)

@@ -1,0 +1,186 @@
+"""Light on the sensor against closed forms."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from isetval.core.scene import EdgeTarget, Scene
+from isetval.core.signal import Layer, Signal
+from isetval.effects.optics_blur import Aperture, Astigmatism, Coma, Diffraction, MotionBlur, Spherical
+from isetval.effects.optics_field import (
+    Cos4,
+    Decenter,
+    Distortion,
+    EtalonRipple,
+    Ghost,
+    LateralColor,
+    VeilingGlare,
+    Vignetting,
+)
+from isetval.effects.pixel import ChargeDiffusion, PixelAperture
+from isetval.scenes.planar import planar_radiance
+
+CORNER = (2896, 3904, 128, 128)
+HALF_PX = 2520.0  # half diagonal of 3024 x 4032
+
+
+def otf(signal, fx, fy, wavelength_nm):
+    out = complex(1)
+    for part in (signal.pupil.transfer, *signal.transfers):
+        out *= complex(part(np.array(fx), np.array(fy), np.array(wavelength_nm)))
+    return out
+
+
+def test_irradiance_of_a_lambertian_plane_behind_a_stop(place):
+    radiance = Signal.of(np.full((1, 4, 4), 0.02), "radiance", wavelength_nm=[550.0])
+    out = Aperture(f_number=2.0, transmittance=0.9, light_factor=3.54).apply(radiance, place())
+    assert out.unit == "irradiance"
+    np.testing.assert_allclose(out.values, np.pi * 0.02 / 16 * 0.9 * 3.54)  # E = pi L / (4 N^2)
+
+
+def test_stated_focus_and_its_nuisance_enter_once(place):
+    radiance = Signal.of(np.ones((1, 4, 4)), "radiance", wavelength_nm=[550.0])
+    out = Aperture().apply(radiance, place(focus_um=6.0, nuisance={"focus_um": -2.5}))
+    assert out.pupil.focus_um == pytest.approx(3.5)
+
+
+def test_diffraction_is_switched_on_by_its_own_f_number(place, light):
+    bare = light().through(replace(light().pupil, diffraction_f_number=0.0))
+    assert otf(bare, 0.5, 0, 550) == 1
+    s = 0.5 / 1.4 * 0.55 * 2.0
+    expected = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    assert otf(Diffraction(f_number=2.0).apply(bare, place()), 0.5, 0, 550) == pytest.approx(expected)
+
+
+def test_cos4_at_an_angle_of_45_degrees(place, light):
+    context = place(window=(1512 + 900, 2016 + 900, 1, 1))  # its distance from the middle as focal length: 45 degrees
+    x, y = context.xy_mm()
+    radius_mm = float(np.hypot(x, y)[0, 0])
+    assert radius_mm == pytest.approx(900.5 * np.sqrt(2) * 1.4e-3)  # pixel centres lie at half pixels from the middle
+    out = Cos4(focal_mm=radius_mm).apply(light(shape=(1, 1)), context).values
+    np.testing.assert_allclose(out, 0.25)  # cos^4 45
+    out = Cos4(focal_mm=radius_mm, delta=2.0).apply(light(shape=(1, 1)), context).values
+    np.testing.assert_allclose(out, 0.125)  # cos^6 45
+
+
+def test_vignetting_starts_at_its_onset_and_reaches_v_in_the_corner(place, light):
+    effect = Vignetting(v=0.4, r0=0.8)
+    inside = effect.apply(light(), place(window=(1512, 2016, 200, 200))).values
+    np.testing.assert_array_equal(inside, 1.0)
+    corner = effect.apply(light(shape=(1, 1)), place(window=(3023, 4031, 1, 1))).values
+    np.testing.assert_allclose(corner, 0.6, atol=0.4 * 2 * 1 / HALF_PX / 0.2)  # pixel centre is .7 px inside r = 1
+
+
+def test_decentring_is_odd_over_the_field(place, light):
+    effect = Decenter(a=0.1, b=-0.05)
+    one = effect.apply(light(), place(window=(0, 0, 8, 8))).values
+    other = effect.apply(light(), place(window=(3016, 4024, 8, 8))).values
+    np.testing.assert_allclose(one + other[:, ::-1, ::-1], 2.0)
+    assert one[0, 0, 0] == pytest.approx(1 - 0.1 * 2015.5 / HALF_PX + 0.05 * 1511.5 / HALF_PX)
+
+
+def test_glare_adds_the_mean_of_the_whole_field_in_each_band(place, light):
+    signal = light((2.0, 3.0), (500.0, 600.0))
+    out = VeilingGlare(gamma=0.03).apply(signal, place(mean_irradiance=np.array([10.0, 20.0]))).values
+    np.testing.assert_allclose(out[:, 0, 0], [2.3, 3.6])
+    np.testing.assert_allclose(VeilingGlare(gamma=0.03).apply(signal, place()).values[:, 0, 0], [2.06, 3.09])
+
+
+def test_ghost_is_a_disc_of_its_stated_radius(place, light):
+    effect = Ghost(gamma=0.01, k=2.0)
+    sensor = place().sensor
+    across = place(window=(sensor.rows // 2, 0, 1, sensor.cols), mean_irradiance=np.array([5.0]))
+    added = effect.apply(light(shape=(1, sensor.cols)), across).values[0, 0] - 1
+    radius = np.abs(across.xy_mm()[0][0]) / sensor.half_diagonal_mm
+    assert added.max() == pytest.approx(0.05, rel=1e-6)  # gamma <E>
+    assert radius[added > 0.025].max() == pytest.approx(0.5, abs=1e-3)  # half height at r = 1/k
+
+
+def test_etalon_has_its_fringes_and_washes_out_in_broad_light(place, light):
+    effect = EtalonRipple(amplitude=0.01, fringes=30.0, order_550=100.0)
+    sensor = place().sensor
+    context = place(window=(0, 0, 1, 1))
+    row = place(window=(sensor.rows // 2, sensor.cols // 2, 1, sensor.cols // 2))
+    narrow = effect.apply(light(shape=(1, sensor.cols // 2)), row).values[0, 0]
+    crossings = np.count_nonzero(np.diff(np.sign(narrow - 1)))
+    assert crossings == pytest.approx(2 * 30 * (2016 / HALF_PX) ** 2, abs=1)  # two per fringe, r^2 = .64 at the border
+    grid = np.arange(500.0, 601.0, 1.0)
+    broad = effect.apply(light(np.ones(grid.size), grid, (1, 1)), context).values.mean()
+    assert abs(broad - 1) < 0.01 / 5  # 18 orders over the band: averages like 1/18 at most
+
+
+def test_motion_blur_is_a_box_along_its_direction(place, light):
+    out = MotionBlur(length_px=2.0, angle_deg=90.0).apply(light(), place())
+    assert otf(out, 0.25, 0.0, 550) == pytest.approx(otf(light(), 0.25, 0.0, 550))  # 90 deg: along y only
+    assert otf(out, 0.0, 0.25, 550) == pytest.approx(otf(light(), 0.0, 0.25, 550) * 2 / np.pi)  # sinc(1/2)
+
+
+def test_pixel_aperture_and_diffusion_multiply_the_transfer_function(place, light):
+    blurred = ChargeDiffusion(sigma_px=0.4, growth=0.5).apply(PixelAperture(width_px=1.0).apply(light(), place()), place())
+    sinc = np.sin(np.pi * 0.3) / (np.pi * 0.3) * np.sin(np.pi * 0.2) / (np.pi * 0.2)
+    for wavelength_nm, sigma in ((550.0, 0.4), (650.0, 0.6)):
+        expected = otf(light(), 0.3, 0.2, wavelength_nm) * sinc * np.exp(-2 * np.pi**2 * sigma**2 * 0.13)
+        assert otf(blurred, 0.3, 0.2, wavelength_nm) == pytest.approx(expected)
+
+
+def edge_shift(effect, context, wavelength_nm):
+    """Sub-pixel place of a vertical edge behind a pixel, against the edge without the effect: from its summed profile."""
+    scene = Scene(np.array([wavelength_nm]), np.ones(1), target=EdgeTarget("e", angle_deg=0.0))
+    blurred = PixelAperture(width_px=1.0).apply(Aperture().apply(planar_radiance(scene, context), context), context)
+    before, after = blurred.values, effect.apply(blurred, context).values
+    moved = (before - after)[0].mean(axis=0)
+    return float((moved - moved[0]).sum() / np.ptp(before))
+
+
+def test_lateral_colour_moves_edges_outwards_by_colour(place):
+    effect = LateralColor(red_px=0.8, blue_px=-0.5)
+    context = place(window=CORNER)
+    x = (3904 + 64 - 2016) / HALF_PX
+    for wavelength_nm, shift in ((610.0, 0.8), (540.0, 0.0), (460.0, -0.5), (575.0, 0.4)):
+        assert edge_shift(effect, context, wavelength_nm) == pytest.approx(shift * x, abs=2e-3)  # window cuts the far tails
+    mirrored = place(window=(2896, 0, 128, 128))
+    assert edge_shift(effect, mirrored, 610.0) == pytest.approx(-0.8 * x, abs=2e-3)
+
+
+def test_distortion_moves_edges_with_the_cube_of_the_radius(place):
+    context = place(window=CORNER)
+    x, y = (3904 + 64 - 2016) / HALF_PX, (2896 + 64 - 1512) / HALF_PX
+    moved = edge_shift(Distortion(k1_px=2.0), context, 550.0)
+    assert moved == pytest.approx(2.0 * (x * x + y * y) * x, abs=0.02)  # shift changes by 1 % over the window
+
+
+@dataclass(frozen=True, eq=False)
+class Ramp:
+    """A structure that can be moved: value = column."""
+
+    column: np.ndarray
+
+    def moved(self, down_px, right_px):
+        return Ramp(self.column - right_px)
+
+    def sample(self, amplitude, transfer, wavelength_nm):
+        return amplitude * self.column[None]
+
+
+def test_distortion_moves_willing_structures_pixel_by_pixel(place):
+    context = place(window=CORNER)
+    signal = Signal((Layer(np.ones((1, 1, 1)), Ramp(np.arange(128.0)[None] + np.zeros((128, 1)))),), "irradiance", (128, 128))
+    moved = signal.values - Distortion(k1_px=3.0).apply(signal, context).values
+    row, col = 7, 90
+    x, y = (3904 + col - 2015.5) / HALF_PX, (2896 + row - 1511.5) / HALF_PX
+    assert moved[0, row, col] == pytest.approx(3.0 * (x * x + y * y) * x)
+
+
+def test_aberrations_grow_with_the_field_as_stated(place, light):
+    middle, corner = place(window=(1448, 1952, 128, 128)), place(window=CORNER)
+    x, y = (3904 + 64 - 2016) / HALF_PX, (2896 + 64 - 1512) / HALF_PX
+    for effect in (Coma(rms_waves=0.1), Astigmatism(rms_waves=0.1)):
+        assert effect.apply(light(), middle).pupil == light().pupil
+    assert Spherical(rms_waves=0.1).apply(light(), middle).pupil.spherical_waves == 0.1
+    coma = Coma(rms_waves=0.1).apply(light(), corner).pupil
+    assert (coma.coma_x_waves, coma.coma_y_waves) == pytest.approx((0.1 * x, 0.1 * y))
+    astigmatism = Astigmatism(rms_waves=0.1).apply(light(), corner).pupil
+    angle = np.arctan2(y, x)
+    stated = 0.1 * (x * x + y * y) * np.array([np.cos(2 * angle), np.sin(2 * angle)])
+    assert (astigmatism.astigmatism_0_waves, astigmatism.astigmatism_45_waves) == pytest.approx(tuple(stated))

@@ -1,0 +1,102 @@
+"""Scene-side effects: what they do to the radiance of planar targets."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene
+from isetval.core.spectrum import Spectrum
+from isetval.effects.scene_light import (
+    AmbientLight,
+    BlackReflectance,
+    ChartTilt,
+    Fluorescence,
+    Gloss,
+    Interreflection,
+    LightNonuniformity,
+    PositionScale,
+    SpdMismatch,
+)
+from isetval.scenes.planar import planar_radiance
+
+GRID = np.arange(400.0, 701.0, 50.0)
+FLAT = Scene(GRID, np.linspace(1, 2, GRID.size))
+EDGE = replace(FLAT, target=EdgeTarget("e"))
+CHART = replace(
+    FLAT,
+    target=ChartTarget("c", (Patch("a", (0, 50, 0, 50), Spectrum.flat(0.5)), Patch("b", (0, 50, 60, 110), Spectrum.flat(0.2)))),
+)
+
+
+def radiance(effect, scene, context):
+    values = planar_radiance(effect.apply_scene(scene, context), context).values
+    return np.broadcast_to(values, (GRID.size, *context.window[2:]))
+
+
+def test_uneven_light_is_seen_in_flats_and_turns_against_a_turned_camera(place):
+    effect = LightNonuniformity(tilt_x=0.1, radial=0.05)
+    corner = place(window=(0, 0, 1, 1))
+    x, r2 = -2015.5 / 2520, (2015.5**2 + 1511.5**2) / 2520**2
+    np.testing.assert_allclose(radiance(effect, FLAT, corner)[:, 0, 0], FLAT.white * (1 + 0.1 * x + 0.05 * r2))
+    turned = radiance(effect, FLAT, place(window=(0, 0, 1, 1), rotation_deg=180.0))[:, 0, 0]
+    np.testing.assert_allclose(turned, FLAT.white * (1 - 0.1 * x + 0.05 * r2))
+    assert effect.apply_scene(CHART, corner) is CHART
+
+
+def test_a_wrong_spectrum_belongs_to_one_light(place):
+    effect = SpdMismatch(light="A", tilt=0.1, spike=0.5, spike_nm=600.0, width_nm=5.0)
+    out = radiance(effect, FLAT, place(light="A"))[:, 0, 0] / FLAT.white
+    np.testing.assert_allclose(out, [0.85, 0.9, 0.95, 1.0, 1.55, 1.1, 1.15], atol=1e-12)
+    assert effect.apply_scene(FLAT, place(light="D65")) is FLAT
+    assert effect.content() != replace(effect, light="D65").content()
+
+
+def test_light_level_by_field_position_leaves_flats_alone(place):
+    effect = PositionScale(a=0.1, c=0.2)
+    corner = place(window=(3024 - 128, 4032 - 128, 128, 128))
+    x, y = (2016 - 64) / 2520, (1512 - 64) / 2520
+    scaled = effect.apply_scene(CHART, corner).white / CHART.white
+    np.testing.assert_allclose(scaled, 1 + 0.1 * x + 0.2 * (x * x + y * y))
+    assert effect.apply_scene(FLAT, corner) is FLAT
+
+
+def test_black_that_reflects_lifts_the_dark_side_only(place):
+    context = place()
+    lift = radiance(BlackReflectance(rho_b=0.02), EDGE, context) - radiance(BlackReflectance(), EDGE, context)
+    np.testing.assert_allclose(lift[:, 128, 5], 0.02 * FLAT.white)  # left is dark
+    np.testing.assert_allclose(lift[:, 128, -5], 0.0, atol=1e-15)
+
+
+def test_a_tilted_chart_has_a_gradient(place):
+    out = radiance(ChartTilt(a=0.1, b=-0.04), CHART, place())
+    even = radiance(ChartTilt(), CHART, place())
+    np.testing.assert_allclose((out / even)[0, 255, 255], 1 + (0.1 - 0.04) * 127.5 / 128)
+    np.testing.assert_allclose((out / even)[0, 0, 0], 1 - (0.1 - 0.04) * 127.5 / 128)
+
+
+def test_gloss_lifts_all_patches_alike(place):
+    lift = radiance(Gloss(level=0.01), CHART, place()) - radiance(Gloss(), CHART, place())
+    np.testing.assert_allclose(lift[:, 25, 25], 0.01 * FLAT.white)
+    np.testing.assert_allclose(lift[:, 25, 85], 0.01 * FLAT.white)
+
+
+def test_fluorescence_glows_in_its_own_patch_under_violet_light_only(place):
+    effect = Fluorescence(patch="a", emission=0.3, peak_nm=450.0, width_nm=10.0)
+    glow = radiance(effect, CHART, place()) - radiance(Fluorescence(), CHART, place())
+    np.testing.assert_allclose(glow[1, 25, 25], 0.3 * FLAT.white[0])  # 450 nm: yield x radiance at 400 nm, the only violet band
+    np.testing.assert_allclose(glow[:, 25, 85], 0.0, atol=1e-15)
+    no_violet = replace(CHART, white=np.where(GRID < 430, 0.0, CHART.white))
+    np.testing.assert_allclose(radiance(effect, no_violet, place()), radiance(Fluorescence(), no_violet, place()))
+
+
+def test_stray_light_is_added_everywhere_but_behind_the_cap(place):
+    effect = AmbientLight(radiance=0.1, tilt=0.2)
+    for scene in (FLAT, EDGE, CHART):
+        lift = radiance(effect, scene, place(role="chart")) - radiance(AmbientLight(), scene, place(role="chart"))
+        np.testing.assert_allclose(lift[:, 3, 4], 0.1 * (1 + 0.2 * (GRID - 550) / 100))
+    assert effect.apply_scene(FLAT, place(role="dark")) is FLAT
+
+
+def test_wall_light_is_handed_to_the_renderer(place):
+    assert Interreflection(bounce=0.3).apply_scene(replace(FLAT, bounce=0.1), place()).bounce == pytest.approx(0.4)
