@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -56,23 +56,22 @@ class CfaAngleShift(Effect):
             return signal
         shift = self.delta_nm * context.field_radius() ** 2
         layers = tuple(Layer(_moved(layer.amplitude, signal.wavelength_nm, shift), layer.structure) for layer in signal.layers)
-        return _with_layers(signal, layers)
-
-
-def _with_layers(signal: Signal, layers: tuple[Layer, ...]) -> Signal:
-    from dataclasses import replace
-
-    return replace(signal, layers=layers)
+        return replace(signal, layers=layers)
 
 
 def _moved(amplitude: Float, grid: Float, shift_nm: Float) -> Float:
-    """Spectra whose photon numbers at lambda are those of ``amplitude`` at lambda + shift; (bands, rows, cols)."""
+    """Spectra whose photon numbers at lambda are those of ``amplitude`` at lambda + shift; (bands, rows, cols).
+
+    Shifts between two nodes are interpolated, which is exact for linear interpolation between even bands.
+    """
     photons = np.asarray(amplitude) * grid[:, None, None]
-    node, step = np.floor(shift_nm), 1.0
+    gaps = np.diff(grid)
+    step = float(gaps[0]) if np.allclose(gaps, gaps[0]) else 1.0
+    nodes = np.unique(np.floor(shift_nm / step))
     out = np.zeros(np.broadcast_shapes(photons.shape, (1, *shift_nm.shape)))
-    for place in np.unique(np.concatenate([node.ravel(), node.ravel() + 1])):
-        weight = np.maximum(0.0, 1 - np.abs(shift_nm - place) / step)
-        out += weight[None] * _resampled(photons, grid, place)
+    for node in np.union1d(nodes, nodes + 1):
+        weight = np.maximum(0.0, 1 - np.abs(shift_nm / step - node))
+        out += weight[None] * _resampled(photons, grid, float(node * step))
     return np.asarray(out / grid[:, None, None])
 
 

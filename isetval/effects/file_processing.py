@@ -216,23 +216,30 @@ class WrongBlackTag(Effect):
 class BlackClip(Effect):
     """Codes below black that were cut off: darks with a low spread, a high mean, half a bell.
 
-    Strength 1 is the real thing; values between mix cut and uncut codes.
+    Strength 1 is the real thing: every pixel.  Values between cut that fraction of the pixels, always
+    the same ones, so that means and variances grow evenly with it.
     """
 
     name = "black_clip"
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    random = "sensor"
     order = 50.0
-    equation = "DN + strength (max(DN, black) - DN)"
+    equation = "max(DN, black) in a fixed fraction of the pixels"
     reference = "moments of the censored normal: Johnson, Kotz & Balakrishnan, Continuous Univariate Distributions 1, sec. 13.10"
     must_not_change = ("edge",)
 
-    strength: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=1.0, doc="0 none, 1 all codes below black cut off")
+    strength: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=1.0, doc="fraction of pixels with codes cut off at black")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Lift the codes below black."""
         if not self.strength:
             return signal
         values = signal.values
-        return _in_codes(signal, values + self.strength * np.maximum(_black(context, values) - values, 0), context)
+        lifted = np.maximum(_black(context, values), values)
+        if self.strength < 1:
+            from scipy.special import ndtri
+
+            lifted = np.where(context.fixed_normal()[None] < ndtri(self.strength), lifted, values)
+        return _in_codes(signal, lifted, context)

@@ -24,6 +24,7 @@ STRENGTHS = {
     "quantum_efficiency": {"file": "qe.csv", "base": str(DATA)},
     "raw_filtering": {"weight": 0.1},
     "reset_noise": {"sigma_e": 2.0},
+    "black_clip": {"strength": 0.5},
     "exposure_time": {"offset_ms": 0.3, "relative": 0.01},
 }
 GUIDE = (

@@ -5,18 +5,8 @@ import pytest
 
 from isetval.core.sensor import Exposure
 from isetval.core.signal import Signal
-from isetval.effects.electrons import (
-    AmpGlow,
-    BrighterFatter,
-    DarkCurrent,
-    FullWell,
-    HotPixels,
-    Lag,
-    PdafPixels,
-    Prnu,
-    ShotNoise,
-    TemperatureDrift,
-)
+from isetval.effects.dark_charge import AmpGlow, DarkCurrent, HotPixels, TemperatureDrift
+from isetval.effects.electrons import BrighterFatter, FullWell, Lag, PdafPixels, Prnu, ShotNoise
 from isetval.effects.exposure import ExposureTime, Flicker
 
 N = 256 * 256

@@ -92,3 +92,11 @@ def test_clipping_at_black_leaves_half_a_bell(place):
     n = d.size
     assert d.mean() == pytest.approx(sigma / np.sqrt(2 * np.pi), abs=5 * sigma / np.sqrt(n))
     assert d.var() == pytest.approx(sigma**2 * (0.5 - 1 / (2 * np.pi)), rel=5 * np.sqrt(4 / n))  # kurtosis of the cut bell < 5
+
+
+def test_a_part_of_the_pixels_is_a_part_of_the_effect(place):
+    """Between none and all, mean and cut codes grow in proportion; always the same pixels."""
+    effect = BlackClip(strength=0.3)
+    out = run(effect, np.full((1, 256, 256), 60.0), place(effect))
+    assert (out == 64).mean() == pytest.approx(0.3, abs=5 * np.sqrt(0.3 * 0.7 / out.size))
+    np.testing.assert_array_equal(out, run(effect, np.full((1, 256, 256), 60.0), place(effect, frame=4, seed=9)))

@@ -6,21 +6,8 @@ from scipy.stats import kurtosis, norm
 
 from isetval.core.sensor import Sensor
 from isetval.core.signal import Signal
-from isetval.effects.readout import (
-    BlackLevel,
-    ColumnFpn,
-    ConversionGain,
-    Dsnu,
-    GainKnee,
-    GrGbImbalance,
-    Nonlinearity,
-    Quantization,
-    ReadNoise,
-    ResetNoise,
-    RowFpn,
-    Rts,
-    TemporalRowNoise,
-)
+from isetval.effects.converter import BlackLevel, ConversionGain, GainKnee, GrGbImbalance, Nonlinearity, Quantization
+from isetval.effects.readout import ColumnFpn, Dsnu, ReadNoise, ResetNoise, RowFpn, Rts, TemporalRowNoise
 
 N = 256 * 256
 

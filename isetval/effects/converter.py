@@ -1,0 +1,180 @@
+"""From electrons to digital numbers: response, gain, black level, converter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context
+from isetval.core.effect import Effect, parameter
+from isetval.core.sensor import black_at, plane_position
+from isetval.core.signal import Signal
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nonlinearity(Effect):
+    """A bent response: mean against level and variance slope fall together, in all channels."""
+
+    name = "nonlinearity"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 60.0
+    equation = "x (1 - a x / FW)"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 6.7 (linearity); second-order term"
+    must_not_change = ("dark",)
+
+    a: float = parameter(0.0, unit="1", low=-0.4, high=0.4, tau=0.02, doc="relative loss at full well")
+    well_e: float = parameter(6000.0, unit="e-", low=1.0, high=1e9, shape=True, doc="full well FW of the formula")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Bend the response."""
+        if not self.a:
+            return signal
+        values = signal.values
+        bent = values * (-self.a / self.well_e)
+        bent += 1
+        bent *= values
+        return signal.with_values(bent)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainKnee(Effect):
+    """A dual-gain read-out: the slope changes at one level, in mean and variance."""
+
+    name = "gain_knee"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 62.0
+    equation = "x for x < mu_k; mu_k + (x - mu_k)(1 + s) above"
+    reference = "Fossum & Hondongwa, IEEE J. Electron Devices Soc. 2 (2014) 33 (dual conversion gain)"
+    must_not_change = ("dark",)
+
+    slope: float = parameter(0.0, unit="1", low=-0.99, high=10.0, tau=0.05, doc="relative change s of the slope above the knee")
+    knee_e: float = parameter(2000.0, unit="e-", low=0.0, high=1e9, shape=True, doc="knee mu_k")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Bend the response above the knee."""
+        if not self.slope:
+            return signal
+        values = signal.values
+        return signal.with_values(values + self.slope * np.maximum(values - self.knee_e, 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConversionGain(Effect):
+    """Electrons become digital numbers; gain in DN/e- (the inverse of e-/DN)."""
+
+    name = "conversion_gain"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "dn"
+    order = 70.0
+    equation = "DN = g N"
+    reference = "EMVA Standard 1288 Release 4.0, eq. 8 (overall system gain K)"
+
+    gain_dn_per_e: float = parameter(1.0, unit="DN/e-", low=1e-6, high=1e4, tau=0.01, doc="conversion gain g")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Convert."""
+        return signal.with_values(signal.values * self.gain_dn_per_e, "dn")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrGbImbalance(Effect):
+    """Green pixels of red rows brighter than those of blue rows: a checkerboard, may grow with the field.
+
+    Nothing happens on a monochrome sensor.
+    """
+
+    name = "gr_gb_imbalance"
+    stage = "electronics"
+    acts_on = "dn"
+    gives = "dn"
+    order = 76.0
+    equation = "Gr x (1 + delta), Gb x (1 - delta), delta = center + corner r^2"
+    reference = "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006) (green imbalance)"
+    must_not_change = ("dark", "edge")
+
+    center: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.01, doc="imbalance in the middle")
+    corner: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.01, doc="further imbalance at the corner")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale the two greens."""
+        if not (self.center or self.corner) or context.sensor.cfa == "MONO":
+            return signal
+        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        delta = self.center + self.corner * context.field_radius() ** 2
+        for plane, sign in (("Gr", 1), ("Gb", -1)):
+            row, col = plane_position(context.sensor.cfa, plane, context.window[:2])
+            values[0, row::2, col::2] *= (1 + sign * delta[row::2, col::2]).astype(values.dtype)
+        return signal.with_values(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlackLevel(Effect):
+    """The sensor's black level, and an error of it: an offset of everything, darks included."""
+
+    name = "black_level"
+    stage = "electronics"
+    acts_on = "dn"
+    gives = "dn"
+    order = 80.0
+    equation = "DN + black (2x2 of the sensor) + offset"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 2.3 (dark offset)"
+    must_not_change = ("edge",)
+
+    offset_dn: float = parameter(0.0, unit="DN", low=-1000.0, high=5000.0, tau=0.5, doc="error of the black level")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the black level of each place of the 2x2 pattern."""
+        values = signal.values
+        black = np.array(black_at(context.sensor.black_dn, context.window[:2])) + self.offset_dn
+        if np.ptp(black) == 0:
+            return signal.with_values(values + float(black[0, 0]))
+        rows, cols = context.window[2:]
+        full = np.tile(black, ((rows + 1) // 2, (cols + 1) // 2))[:rows, :cols]
+        return signal.with_values(values + full.astype(values.dtype))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantization(Effect):
+    """The converter: rounding to steps, limits at 0 and white, uneven code widths.
+
+    The variance grows by step^2/12 only where the noise is wider than about half a step; code
+    occupancy of a bright flat shows steps and widths.  The expectation is limited but not rounded.
+    """
+
+    name = "quantization"
+    stage = "electronics"
+    acts_on = "dn"
+    gives = "dn"
+    order = 90.0
+    equation = "step x round((DN + dnl z(code)) / step), limited to 0 ... white"
+    reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4; IEEE Std 1241 (differential non-linearity)"
+
+    step_dn: float = parameter(0.0, unit="DN", low=0.0, high=256.0, tau=1.0, doc="step of the converter (0: no rounding)")
+    dnl_dn: float = parameter(0.0, unit="DN", low=0.0, high=10.0, doc="standard deviation of code places")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Round and limit."""
+        values = signal.values
+        if self.step_dn and context.mode != "expected":
+            values = self._rounded(values, context)
+        return signal.with_values(np.clip(values, 0, context.sensor.white_dn))
+
+    def _rounded(self, values: Array, context: Context) -> Array:
+        if self.dnl_dn:
+            white = int(context.sensor.white_dn)
+            place = (self.dnl_dn * context.fixed_rng().standard_normal(white + 1)).astype(values.dtype)
+            values = values + place[np.clip(np.rint(values), 0, white).astype(np.intp)]
+        codes = values * (1 / self.step_dn)
+        np.rint(codes, out=codes)
+        codes *= self.step_dn
+        return codes

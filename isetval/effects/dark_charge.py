@@ -1,0 +1,117 @@
+"""Charge that no light made: dark current, its drift, glow and hot pixels.  In front of shot_noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from isetval.core.context import Context
+from isetval.core.effect import Effect, parameter
+from isetval.core.signal import Signal
+from isetval.effects.electrons import own, rare_pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkCurrent(Effect):
+    """Thermal charge, equal over the sensor: mean and variance of darks grow with time."""
+
+    name = "dark_current"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 20.0
+    equation = "mu + d t"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 7 (dark current)"
+    must_not_change = ("edge",)
+
+    rate_e_per_s: float = parameter(0.0, unit="e-/s", low=0.0, high=1e6, tau=1.0, doc="dark current d per pixel")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the mean dark charge; shot_noise makes it noisy."""
+        added = self.rate_e_per_s * context.time_s()
+        return signal.with_values(signal.values + added) if added else signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemperatureDrift(Effect):
+    """Dark current that grows from frame to frame as the camera warms up.
+
+    Hidden by averages over frames: the mean of each frame shows it.
+    """
+
+    name = "temperature_drift"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 21.0
+    equation = "mu + k n t, n the number of the frame within its shot"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 7.3 (temperature dependence); first-order term"
+    must_not_change = ("edge",)
+
+    rate_e_per_s_per_frame: float = parameter(0.0, unit="e-/s/frame", low=0.0, high=1e5, tau=0.5, doc="growth k per frame")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add this frame's extra dark charge."""
+        added = self.rate_e_per_s_per_frame * context.frame * context.time_s()
+        return signal.with_values(signal.values + added) if added else signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmpGlow(Effect):
+    """Light of the read-out circuit: dark charge that decays from a point at the sensor's rim, prop. to time."""
+
+    name = "amp_glow"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 22.0
+    equation = "mu + g t exp(-d / w), d from (x0, y0) in half diagonals"
+    reference = (
+        "Janesick, Scientific Charge-Coupled Devices (SPIE 2001), ch. 7 (amplifier luminescence); exponential is a convention"
+    )
+    must_not_change = ("edge",)
+
+    rate_e_per_s: float = parameter(0.0, unit="e-/s", low=0.0, high=1e6, tau=3.0, doc="glow g at its brightest point")
+    x0: float = parameter(0.8, unit="half diagonal", low=-2.0, high=2.0, shape=True, doc="column place of the source")
+    y0: float = parameter(0.6, unit="half diagonal", low=-2.0, high=2.0, shape=True, doc="row place of the source")
+    width: float = parameter(0.3, unit="half diagonal", low=0.01, high=10.0, shape=True, doc="decay length w")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the mean glow."""
+        added = self.rate_e_per_s * context.time_s()
+        if not added:
+            return signal
+        x, y = context.xy_mm()
+        half = context.sensor.half_diagonal_mm
+        glow = added * np.exp(-np.hypot(x / half - self.x0, y / half - self.y0) / self.width)
+        values = signal.values
+        return signal.with_values(own(glow, values) + values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HotPixels(Effect):
+    """A fraction of pixels with high dark current, exponentially distributed; the same pixels in each frame."""
+
+    name = "hot_pixels"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    random = "sensor"
+    order = 24.0
+    equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
+    reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"
+    must_not_change = ("edge",)
+
+    fraction: float = parameter(0.0, unit="1", low=0.0, high=0.5, tau=1e-3, doc="fraction of hot pixels")
+    rate_e_per_s: float = parameter(100.0, unit="e-/s", low=0.0, high=1e6, shape=True, doc="mean rate of a hot pixel")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the mean charge of the hot pixels."""
+        charge = self.rate_e_per_s * context.time_s()
+        if not (self.fraction and charge):
+            return signal
+        chosen, chance = rare_pixels(context, self.fraction)
+        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        values[0][chosen] -= (charge * np.log(chance)).astype(values.dtype)
+        return signal.with_values(values)
