@@ -88,12 +88,12 @@ def plane_samples(capture: Capture, roi: Roi | None, channel: str, *, transposed
     box = check_roi(capture, roi)
     if channel != "G":
         samples = _grid(capture, box, channel)
-        turn = _is_horizontal(samples.values) if transposed is None else transposed
+        turn = is_horizontal(samples.values) if transposed is None else transposed
         return samples.flipped() if turn else samples
     if transposed is not None:
         return _quincunx(capture, box, transposed=transposed)
     greens = plane_view(capture, "Gr", box)[0]
-    return _quincunx(capture, box, transposed=_is_horizontal(greens.astype(float)))
+    return _quincunx(capture, box, transposed=is_horizontal(greens.astype(float)))
 
 
 def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
@@ -143,7 +143,7 @@ def _quincunx(capture: Capture, box: Roi, *, transposed: bool) -> Samples:
     )
 
 
-def _is_horizontal(values: Float) -> bool:
+def is_horizontal(values: Float) -> bool:
     """Whether the level changes more from row to row than from column to column."""
     return bool(np.var(values.mean(axis=1)) > np.var(values.mean(axis=0)))
 

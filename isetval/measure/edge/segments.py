@@ -172,7 +172,7 @@ def _segment(part: NDArray[np.intp], shape: tuple[int, ...], size: Float, direct
         c = np.polynomial.polynomial.polyfit(t[inner], across[inner], 2)
         radians -= float(np.arctan(c[1] / half))
     rest = across - np.polynomial.polynomial.polyval(t, c)
-    if float(np.median(np.abs(rest))) > 1.0 or 2 * half < MIN_SEEN_PX or len(np.unique(np.rint(along))) < 0.7 * 2 * half:
+    if float(np.median(np.abs(rest))) > 1.0 or 2 * half < MIN_SEEN_PX or len(np.unique(np.rint(along))) < 0.5 * 2 * half:
         return None
     # the polynomial is a0 + a2 t^2: its mean over the chord is at a0 + a2/3
     center = c[0] + c[2] / 3
