@@ -14,7 +14,7 @@ from isetval.measure.noise.moments import frame_moments
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.statistics import neighbour_covariance
 
-LARGEST = 1024
+LARGEST = 512
 
 
 def nonlinearity_at(response: Response | None, used: Sequence[Level]) -> Quantity:
@@ -39,7 +39,8 @@ def covariance_per_e(series: LevelSeries, plane: str, roi: Roi | None) -> Quanti
     """
     used = [level for level in series.levels if level.used]
     top = used[-1].mean_dn
-    bright = [level for level in used if level.mean_dn > 0.4 * top][-4:]
+    bright = [level for level in used if level.mean_dn > 0.4 * top]
+    bright = bright[-4:] if bright[0].pixels < LARGEST**2 // 4 else bright[-2:]
     value = weight_sum = 0.0
     for level in bright:
         found = _four_neighbours(level.captures, plane, roi)

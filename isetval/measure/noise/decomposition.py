@@ -41,8 +41,7 @@ class FixedPattern:
     outliers: int
     valid: int
     excess_kurtosis: float
-    surface: Float
-    residual: Float
+    surface: NDArray[Any]
     correlation: Float
 
 
@@ -57,13 +56,14 @@ def orthogonal_polynomials(count: int, degree: int) -> Float:
     return np.asarray(out)
 
 
-def fit_surface(image: NDArray[Any], degree: int) -> Float:
-    """Least-squares polynomial surface of total degree ``degree``, (rows, cols)."""
+def fit_surface(image: NDArray[Any], degree: int) -> NDArray[Any]:
+    """Least-squares polynomial surface of total degree ``degree``, (rows, cols), of the image's type."""
     rows, cols = image.shape
     py, px = orthogonal_polynomials(rows, degree), orthogonal_polynomials(cols, degree)
-    coefficients = py.T @ image @ px
+    kind = image.dtype if image.dtype in (np.float32, np.float64) else np.dtype(np.float64)
+    py, px = py.astype(kind), px.astype(kind)
     keep = np.add.outer(np.arange(py.shape[1]), np.arange(px.shape[1])) <= degree
-    return np.asarray(py @ (coefficients * keep) @ px.T)
+    return np.asarray((py @ ((py.T @ image @ px) * keep.astype(kind))) @ px.T)
 
 
 def robust_sd(values: NDArray[Any], limit: int = 20000) -> float:
@@ -87,7 +87,7 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: fl
     row_temporal : float
         Temporal variance of row means beyond pixel noise, DN^2; its residue is removed from the row part.
     """
-    average = np.asarray(moments.average, dtype=np.float64)
+    average = moments.average
     residual, surface, gain = _flatten(average, degree, relative)
     bad = np.abs(residual) > OUTLIER_SD * max(robust_sd(residual), 1e-12)
     outliers = int(bad.sum())
@@ -97,7 +97,10 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: fl
         residual, surface, gain = _flatten(np.where(bad, surface, average), degree, relative)
         residual, variance = np.where(bad, 0.0, residual), np.where(bad, 0.0, variance)
     valid = residual.size - outliers * masked
-    residue = float(np.mean(variance if gain is None else variance * gain**2)) * residual.size / valid / moments.frames
+    if gain is not None:
+        variance = variance * gain
+        variance *= gain
+    residue = float(variance.sum(dtype=np.float64)) / valid / moments.frames
     parts = _parts(residual, degree, valid / residual.size)
     quantities, correlation = _assemble(
         parts, moments.shape, (residue, moments.temporal.sigma / moments.frames), row_temporal / moments.frames
@@ -112,33 +115,36 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: fl
         valid=valid,
         excess_kurtosis=parts[2],
         surface=surface,
-        residual=residual,
         correlation=correlation,
     )
 
 
-def _flatten(image: Float, degree: int, relative: bool) -> tuple[Float, Float, Float | None]:
+def _flatten(image: NDArray[Any], degree: int, relative: bool) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any] | None]:
     """Residual in DN, surface, and level / surface where the image was divided."""
     surface = fit_surface(image, degree)
     level = float(surface.mean())
     if relative and level > 0 and float(surface.min()) > 0.02 * level:
-        gain = level / surface
-        return image * gain - level, surface, gain
+        gain = (level / surface).astype(image.dtype, copy=False)
+        residual = image * gain
+        residual -= image.dtype.type(level)
+        return residual, surface, gain
     return image - surface, surface, None
 
 
-def _parts(residual: Float, degree: int, share: float) -> tuple[Float, Float, float]:
+def _parts(residual: NDArray[Any], degree: int, share: float) -> tuple[Float, Float, float]:
     """Mean squares (rest, row, column), their degrees of freedom, and excess kurtosis of the rest."""
     rows, cols = residual.shape
-    row_means, col_means = residual.mean(axis=1), residual.mean(axis=0)
-    rest = residual - row_means[:, None] - col_means + residual.mean()
+    row_means, col_means = residual.mean(axis=1, dtype=np.float64), residual.mean(axis=0, dtype=np.float64)
+    rest = residual - row_means.astype(residual.dtype)[:, None]
+    rest -= (col_means - row_means.mean()).astype(residual.dtype)
     used_y, used_x = min(degree, rows - 1) + 1, min(degree, cols - 1) + 1
     cross = sum(1 for i in range(1, used_y) for j in range(1, used_x) if i + j <= degree)
     dof = np.array([max((rows - 1) * (cols - 1) - cross, 1) * share, max(rows - used_y, 1), max(cols - used_x, 1)])
-    squares = np.array([np.vdot(rest, rest), cols * np.sum(row_means**2), rows * np.sum(col_means**2)])
+    np.multiply(rest, rest, out=rest)
+    squares = np.array([rest.sum(dtype=np.float64), cols * np.sum(row_means**2), rows * np.sum(col_means**2)])
     mean_squares = squares / dof
     mean_squares[1:] /= share
-    fourth = float(np.mean(rest**4)) / share if mean_squares[0] > 0 else 0.0
+    fourth = float(np.vdot(rest, rest)) / residual.size / share
     excess = fourth / mean_squares[0] ** 2 - 3 if mean_squares[0] > 0 else 0.0
     return mean_squares, dof, max(float(excess), 0.0)
 

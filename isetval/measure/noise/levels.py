@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,11 +14,11 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
 from isetval.measure.noise.curve import Points
 from isetval.measure.noise.decomposition import FixedPattern, decompose, fit_surface, robust_sd
-from isetval.measure.noise.moments import Moments, frame_moments
+from isetval.measure.noise.moments import Moments, frame_moments, line_sums
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.quantized import fit_quantized, unrounded_variance
 from isetval.measure.noise.reference import DarkLevel
-from isetval.measure.noise.statistics import noisy_limit, row_and_frame_scatter
+from isetval.measure.noise.statistics import line_scatter, noisy_limit
 
 CLIPPED_SHARE = 1e-3
 PLATEAU_SD = 4.5
@@ -24,6 +26,7 @@ MAX_DEFECT_SHARE = 0.02
 SMALL_SPREAD_DN = 0.4
 ROUNDED_BELOW_DN2 = 0.6
 SKEWNESS_ERROR = 0.02
+ALL_PATTERNS_PIXELS = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,29 +75,54 @@ class LevelSeries:
 
 
 def measure_levels(flats: Sequence[Sequence[Capture]], plane: str, roi: Roi | None, reference: DarkLevel | None) -> LevelSeries:
-    """Moments of every level; defective pixels (seen in the dark or in a middle level) are left out."""
+    """Moments of every level; defective pixels (seen in the dark or in a middle level) are left out.
+
+    The fixed pattern is taken from every level of a small region, but from the middle level only of a large
+    one, where a single level already reaches what the specimen's own pattern allows.
+    """
     tag = plane_black_dn(flats[0][0], plane)
     black = reference.black_dn if reference is not None else Quantity(tag, 0.0, "DN")
-    bad: NDArray[np.bool_] | None = reference.defects if reference is not None else None
-    order = [len(flats) // 2, *(i for i in range(len(flats)) if i != len(flats) // 2)]
-    levels: dict[int, Level] = {}
-    for i in order:
-        views = [plane_view(c, plane, roi)[0] for c in flats[i]]
-        moments = frame_moments(views, black.value)
-        if i == order[0]:
-            bad = _defects(moments, bad)
-        if bad is not None:
-            moments = frame_moments(views, black.value, bad=bad)
-        levels[i] = _level(flats[i], views, moments, bad, black.value)
-    ordered = sorted(levels.values(), key=lambda level: level.mean_dn)
-    return LevelSeries(tuple(ordered), black)
+    middle = len(flats) // 2
+    views = [plane_view(c, plane, roi)[0] for c in flats[middle]]
+    moments = frame_moments(views, black.value)
+    bad = _defects(moments, reference.defects if reference is not None else None)
+    if bad is not None:
+        moments = frame_moments(views, black.value, bad=bad)
+    small = views[0].size * len(flats) <= ALL_PATTERNS_PIXELS
+
+    def measure(i: int) -> Level:
+        if i == middle:
+            return _level(flats[i], plane, roi, black.value, moments, bad)
+        if not small:
+            return _level(flats[i], plane, roi, black.value, None, bad)
+        frames = [plane_view(c, plane, roi)[0] for c in flats[i]]
+        return _level(flats[i], plane, roi, black.value, frame_moments(frames, black.value, bad=bad), bad)
+
+    if small:
+        levels = [measure(i) for i in range(len(flats))]
+    else:
+        with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
+            levels = list(pool.map(measure, range(len(flats))))
+    return LevelSeries(tuple(sorted(levels, key=lambda level: level.mean_dn)), black)
+
+
+def with_pattern(level: Level, plane: str, roi: Roi | None, black_dn: float) -> Level:
+    """The level with its fixed pattern, measured now if it was not."""
+    if level.fixed is not None:
+        return level
+    views = [plane_view(c, plane, roi)[0] for c in level.captures]
+    return replace(level, fixed=_pattern(frame_moments(views, black_dn), level.row_temporal))
+
+
+def _pattern(moments: Moments, row: Quantity) -> FixedPattern:
+    fixed = decompose(moments, surface_degree(moments.shape), relative=True, row_temporal=max(row.value, 0.0))
+    return replace(fixed, surface=np.empty((0, 0)))
 
 
 def _defects(moments: Moments, known: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    """Pixels that stand out of the smooth field, joined with those known from the dark."""
-    average = np.asarray(moments.average, dtype=np.float64)
-    rest = average - fit_surface(average, surface_degree(average.shape))
-    bad = np.abs(rest) > 6 * max(robust_sd(rest), 1e-6)
+    """Pixels that stand out of the smooth field or are noisy, joined with those known from the dark."""
+    rest = moments.average - fit_surface(moments.average, surface_degree(moments.shape))
+    bad = np.asarray(np.abs(rest) > 6 * max(robust_sd(rest), 1e-6))
     bad |= moments.pixel_variance > noisy_limit(moments)
     if known is not None and known.shape == bad.shape:
         bad |= known
@@ -109,56 +137,41 @@ def surface_degree(shape: tuple[int, ...]) -> int:
 
 def _level(
     captures: Sequence[Capture],
-    views: Sequence[NDArray[np.uint16]],
-    moments: Moments,
-    bad: NDArray[np.bool_] | None,
+    plane: str,
+    roi: Roi | None,
     black: float,
+    moments: Moments | None,
+    bad: NDArray[np.bool_] | None,
 ) -> Level:
-    row, frame = row_and_frame_scatter(moments)
-    mean, variance, second, pixels = _masked(moments, bad)
-    spread = max(second - mean**2 - variance / moments.frames, 0.0)
+    views = [plane_view(c, plane, roi)[0] for c in captures]
+    sums = line_sums(views, black, bad=bad)
+    rows, frames = sums.row_means.shape[1], sums.frames
+    variance = sums.variance_dn2
+    sigma = variance * math.sqrt(2 / (sums.pixels * (frames - 1)))
+    row, frame = line_scatter(sums.row_means, variance, sums.cols, sigma)
+    spread = max(sums.spread_dn2 - variance / frames, 0.0)
+    measured = Quantity(variance, moments.temporal.sigma if moments is not None else sigma, "DN^2")
+    exact = _exact_rounding(views, measured, spread)
+    drift = float(np.mean((sums.row_means - sums.row_means.mean(axis=0)) ** 2))
     white = captures[0].sensor.white_dn
-    exact = _exact_rounding(views, Quantity(variance, moments.temporal.sigma, "DN^2"), spread)
-    fixed = decompose(moments, surface_degree(moments.shape), relative=True, row_temporal=max(row.value, 0.0))
-    drift = float(np.mean((moments.row_means - moments.row_means.mean(axis=0)) ** 2))
-    pooled = variance * (moments.frames - 1) / moments.frames + float(np.var(moments.average, dtype=np.float64)) + drift
-    line_part = max(row.value, 0.0) / moments.shape[0] / moments.frames
     return Level(
         time_s=captures[0].exposure.time_s,
-        frames=moments.frames,
-        pixels=pixels,
-        mean_dn=mean,
-        mean_sigma_dn=math.sqrt(variance / pixels / moments.frames + line_part),
+        frames=frames,
+        pixels=sums.pixels,
+        mean_dn=float(sums.row_means.mean()),
+        mean_sigma_dn=math.sqrt(variance / sums.pixels / frames + max(row.value, 0.0) / rows / frames),
         spread_dn2=spread,
         variance_dn2=exact.value,
         variance_sigma_dn2=exact.sigma,
         rounded=variance < ROUNDED_BELOW_DN2,
-        pooled_variance_dn2=pooled,
+        pooled_variance_dn2=variance * (frames - 1) / frames + sums.spread_dn2 + drift,
         row_temporal=row,
         frame_scatter=frame,
-        clipped_high=float(np.mean([np.mean(v >= white) for v in views])),
-        clipped_low=float(np.mean([np.mean(v == 0) for v in views])),
-        fixed=fixed,
+        clipped_high=float(np.mean([np.mean(v >= white) if v.max() >= white else 0.0 for v in views])),
+        clipped_low=float(np.mean([np.mean(v == 0) if v.min() == 0 else 0.0 for v in views])),
+        fixed=_pattern(moments, row) if moments is not None else None,
         captures=tuple(captures),
     )
-
-
-def _masked(moments: Moments, bad: NDArray[np.bool_] | None) -> tuple[float, float, float, int]:
-    """Mean, temporal variance and mean square of the good pixels, and their number."""
-    average, variance = moments.average, moments.pixel_variance
-    total = float(average.sum(dtype=np.float64))
-    noise = float(variance.sum(dtype=np.float64))
-    square = (
-        float(np.vdot(average, average)) if average.dtype == np.float64 else float(np.sum(np.square(average), dtype=np.float64))
-    )
-    count = average.size
-    if bad is not None:
-        out = average[bad].astype(np.float64)
-        total -= float(out.sum())
-        square -= float(out @ out)
-        noise -= float(variance[bad].sum(dtype=np.float64))
-        count -= out.size
-    return total / count, noise / count, square / count, count
 
 
 def _exact_rounding(views: Sequence[NDArray[np.uint16]], variance: Quantity, spread: float) -> Quantity:

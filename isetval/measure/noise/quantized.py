@@ -89,9 +89,9 @@ def fit_quantized(views: Sequence[NDArray[Any]]) -> QuantizedNoise:
 
 def _pixel_codes(views: Sequence[NDArray[Any]]) -> tuple[NDArray[np.int64], int]:
     """Codes (pixels, frames) counted from the lowest kept code, and that code."""
-    stack = np.stack([np.asarray(view, dtype=np.int64).ravel() for view in views], axis=1)
-    if stack.shape[0] > MAX_PIXELS:
-        stack = stack[:: -(-stack.shape[0] // MAX_PIXELS)]
+    step = -(-views[0].size // MAX_PIXELS)
+    rows = slice(None, None, step) if views[0].shape[0] >= 8 * step else slice(None)
+    stack = np.stack([view[rows].astype(np.int64).ravel() for view in views], axis=1)
     center = float(np.median(stack[:, 0]))
     spread = max(float(np.mean(np.abs(stack[:, 0] - center))) * 1.25, 0.5)
     keep = np.all(np.abs(stack - center) <= max(8 * spread, 2), axis=1)
@@ -103,9 +103,8 @@ def _pixel_codes(views: Sequence[NDArray[Any]]) -> tuple[NDArray[np.int64], int]
 def _patterns(codes: NDArray[np.int64]) -> tuple[Float, Float]:
     """Distinct code counts (patterns, codes) and how many pixels show each."""
     width = int(codes.max()) + 1
-    counts = np.zeros((codes.shape[0], width), dtype=np.uint8)
-    for frame in range(codes.shape[1]):
-        np.add.at(counts, (np.arange(codes.shape[0]), codes[:, frame]), 1)
+    places = codes + width * np.arange(codes.shape[0])[:, None]
+    counts = np.bincount(places.ravel(), minlength=width * codes.shape[0]).astype(np.uint8).reshape(-1, width)
     packed = np.ascontiguousarray(counts).view(np.dtype((np.void, width))).ravel()
     _, index, numbers = np.unique(packed, return_index=True, return_counts=True)
     return counts[index].astype(np.float64), numbers.astype(np.float64)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
-from isetval.measure.noise.decomposition import FixedPattern, decompose
+from isetval.measure.noise.decomposition import FixedPattern, decompose, robust_sd
 from isetval.measure.noise.moments import Moments, frame_moments
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.quantized import QuantizedNoise, fit_quantized, quantization_variance
@@ -111,7 +111,7 @@ def _clean_moments(
     moments = frame_moments(views, tag)
     fixed = decompose(moments, _degree(moments), relative=False)
     defects = _defects(moments, fixed)
-    hot = int(np.sum(defects & (np.asarray(moments.average) > fixed.surface)))
+    hot = int(np.sum(defects & (moments.average > fixed.surface)))
     noisy = 0
     if len(views) > 1:
         restless = moments.pixel_variance > noisy_limit(moments)
@@ -137,8 +137,8 @@ def moments_without(moments: Moments, bad: NDArray[np.bool_]) -> Quantity:
 
 def _defects(moments: Moments, fixed: FixedPattern) -> NDArray[np.bool_]:
     """Pixels that stand more than 6 robust sd and more than one noise sd out of the mean dark image."""
-    rest = np.asarray(moments.average, dtype=np.float64) - fixed.surface
-    limit = 6 * max(math.sqrt(max(fixed.pixel.value, 0.0)), 1.4826 * float(np.median(np.abs(rest))), 0.02)
+    rest = moments.average - fixed.surface
+    limit = 6 * max(math.sqrt(max(fixed.pixel.value, 0.0)), robust_sd(rest), 0.02)
     return np.asarray(np.abs(rest) > limit)
 
 

@@ -6,13 +6,16 @@ import math
 
 import numpy as np
 
+from isetval.core.capture import Roi
 from isetval.measure.noise.curve import Response
-from isetval.measure.noise.levels import LevelSeries
+from isetval.measure.noise.levels import LevelSeries, with_pattern
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.reference import DarkLevel
 
 
-def prnu_percent(series: LevelSeries, reference: DarkLevel | None, response: Response | None = None) -> Quantity:
+def prnu_percent(
+    series: LevelSeries, reference: DarkLevel | None, plane: str, roi: Roi | None, response: Response | None = None
+) -> Quantity:
     """Pixel-to-pixel photo-response non-uniformity, %.
 
     Notes
@@ -21,7 +24,10 @@ def prnu_percent(series: LevelSeries, reference: DarkLevel | None, response: Res
     are averaged with weights m^4 / var, with m replaced by L R'(L) under a known response m = R(L).  The part of
     their error that is the specimen's own pattern is common to all.
     """
-    used = [level for level in series.levels if level.used and level.fixed is not None]
+    used = [level for level in series.levels if level.used]
+    if used and all(level.fixed is None for level in used):
+        used = [with_pattern(used[-1], plane, roi, series.black_dn.value)]
+    used = [level for level in used if level.fixed is not None]
     offset = reference.dsnu_variance if reference is not None and reference.moments.frames > 1 else Quantity(0.0, 0.0, "DN^2")
     if not used:
         return Quantity(math.nan, math.nan, "%")

@@ -177,23 +177,36 @@ def _single_frame_variance(moments: Moments) -> float:
 
 
 def row_and_frame_scatter(moments: Moments) -> tuple[Quantity, Quantity]:
+    """``line_scatter`` of moments."""
+    temporal = moments.temporal
+    return line_scatter(moments.row_means, temporal.value, moments.shape[1], temporal.sigma)
+
+
+def line_scatter(means: Float, noise: float, cols: int, noise_sigma: float) -> tuple[Quantity, Quantity]:
     """Temporal variance of row means and of frame means beyond pixel noise, DN^2, signed.
 
     Light that changes between frames scales the row profile; it is taken out of the row part.
+
+    Parameters
+    ----------
+    means : array (frames, rows)
+        Row means, DN above black.
+    noise, noise_sigma : float
+        Temporal variance of a pixel and its sigma, DN^2.
+    cols : int
+        Pixels in a row.
     """
-    frames, (rows, cols) = moments.frames, moments.shape
+    frames, rows = means.shape
     if frames < 2:
         return Quantity(NAN, NAN, "DN^2"), Quantity(NAN, NAN, "DN^2")
-    means = moments.row_means
     profile = means.mean(axis=0)
     level = profile.mean()
-    noise = moments.temporal.value
     shape = profile / level if level**2 > 25 * noise / cols else np.ones(rows)
-    drift = moments.frame_means - level
+    drift = means.mean(axis=1) - level
     rest = means - profile - drift[:, None] * shape
     dof = (frames - 1) * max(rows - 1, 1)
     square = float(np.vdot(rest, rest)) / dof
-    row = Quantity(square - noise / cols, math.hypot(square * math.sqrt(2 / dof), moments.temporal.sigma / cols), "DN^2")
+    row = Quantity(square - noise / cols, math.hypot(square * math.sqrt(2 / dof), noise_sigma / cols), "DN^2")
     frame_square = float(np.vdot(drift, drift)) / (frames - 1)
     frame = Quantity(frame_square - square / rows, frame_square * math.sqrt(2 / (frames - 1)), "DN^2")
     return row, frame

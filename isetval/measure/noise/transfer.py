@@ -177,7 +177,7 @@ def _plane_transfer(groups: Groups, plane: str, roi: Roi | None, method: str, ch
             "below saturation: shorten the exposure"
         )
     if method == "lyu2022":
-        return _lyu2022(series, reference, plane, flags)
+        return _lyu2022(series, reference, plane, flags, roi)
     return _default(series, reference, plane, flags, choices, roi)
 
 
@@ -202,7 +202,7 @@ def _default(
     anchor = _anchor(reference, series)
     points, used = series.points(), [level for level in series.levels if level.used]
     if anchor is None and len(used) < 2:
-        return _one_level_without_dark(series, reference, plane, flags)
+        return _one_level_without_dark(series, reference, plane, flags, roi)
     response = _response(used)
     fit = fit_curve(points, anchor, response=response, weights=choices.get("weights"))
     gain = Quantity(fit.gain, fit.gain_sigma, "DN/e-")
@@ -225,7 +225,7 @@ def _default(
         gain_dn_per_e=gain,
         read_noise_e=_in_electrons(read_dn, gain),
         read_noise_dn=read_dn,
-        prnu=prnu_percent(series, reference, response),
+        prnu=prnu_percent(series, reference, plane, roi, response),
         dsnu_e=_dsnu_e(reference, gain),
         black_dn=series.black_dn,
         quadratic=bend,
@@ -298,7 +298,7 @@ def _cut_spread(points: Points, anchor: Anchor | None, response: Response | None
 
 
 def _one_level_without_dark(
-    series: LevelSeries, reference: DarkLevel | None, plane: str, flags: tuple[str, ...]
+    series: LevelSeries, reference: DarkLevel | None, plane: str, flags: tuple[str, ...], roi: Roi | None
 ) -> PlaneTransfer:
     """One level and no dark variance: V / m is an upper bound of K."""
     level = next(level for level in series.levels if level.used)
@@ -311,7 +311,7 @@ def _one_level_without_dark(
         gain_dn_per_e=Quantity(gain, sigma, "DN/e-"),
         read_noise_e=Quantity(NAN, NAN, "e-"),
         read_noise_dn=Quantity(NAN, NAN, "DN"),
-        prnu=prnu_percent(series, reference),
+        prnu=prnu_percent(series, reference, plane, roi),
         dsnu_e=Quantity(NAN, NAN, "e-"),
         black_dn=series.black_dn,
         saturation_cut_dn=series.cut_dn,
@@ -321,11 +321,13 @@ def _one_level_without_dark(
     )
 
 
-def _lyu2022(series: LevelSeries, reference: DarkLevel | None, plane: str, flags: tuple[str, ...]) -> PlaneTransfer:
+def _lyu2022(
+    series: LevelSeries, reference: DarkLevel | None, plane: str, flags: tuple[str, ...], roi: Roi | None
+) -> PlaneTransfer:
     from isetval.measure.noise.response import prnu_percent
 
     level = [level for level in series.levels if level.used][-1]
-    prnu = prnu_percent(series, reference)
+    prnu = prnu_percent(series, reference, plane, roi)
     values = int(level.pixels * level.frames)
     share = prnu.value / 100 if math.isfinite(prnu.value) and prnu.value > 0 else 0.0
     gain = single_level_gain(level.mean_dn, level.pooled_variance_dn2, share, values=values)
