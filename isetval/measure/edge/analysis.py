@@ -138,6 +138,7 @@ def refused(capture: Capture, roi: Roi, *, channel: str, flags: Mapping[str, str
         mtf50p_sigma=NAN,
         angle_deg=NAN,
         orientation="unknown",
+        normal_deg=NAN,
         distance_px=empty,
         esf=empty,
         lsf=empty,
@@ -178,6 +179,7 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
     fit, line = estimate.fit, estimate.geometry.line
     x, slope, bend = line.position(np.array([line.y_center_px]))
     angle = float(np.degrees(np.arctan(slope[0])))
+    normal = normal_direction(float(slope[0]), line.sign, transposed=samples.transposed)
     over = abs(angle) > 45
     if over:
         angle = float(np.copysign(90 - abs(angle), angle))
@@ -206,8 +208,9 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
         mtf10_sigma=sigma[2],
         mtf50p_cy_px=value[3],
         mtf50p_sigma=sigma[3],
-        angle_deg=angle,
+        angle_deg=folded_angle(normal),
         orientation="horizontal" if samples.transposed != over else "vertical",
+        normal_deg=normal,
         distance_px=distance,
         esf=esf,
         lsf=lsf,
@@ -235,6 +238,19 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
         fit=None if refuse else fit,
         messages=verdict.flags | verdict.warnings,
     )
+
+
+def normal_direction(slope: float, sign: float, *, transposed: bool) -> float:
+    """Direction from dark to bright in degrees, 0 = larger columns, 90 = larger rows; ``slope`` is dx/dy of the rows' crossing."""
+    along_x, along_y = sign, -sign * slope
+    if transposed:
+        along_x, along_y = along_y, along_x
+    return float(np.degrees(np.arctan2(along_y, along_x)) % 360)
+
+
+def folded_angle(normal_deg: float) -> float:
+    """Angle from the nearer pixel axis, -45 to 45; positive turns larger columns towards larger rows."""
+    return float((normal_deg + 45) % 90 - 45)
 
 
 def _bright_sigma(fit: EsfFit) -> float:

@@ -204,6 +204,7 @@ def _report(
     sigma_curve = np.sqrt(factor * sum((p[0] - curve) ** 2 for p in parts))
     sigma = np.sqrt(factor * sum((p[1] - found) ** 2 for p in parts))
     _, _, esf, distance, angle = _curve(samples, procedure, sign)
+    normal = analysis.normal_direction(float(np.tan(np.radians(angle))), sign, transposed=samples.transposed)
     low, high = (float(np.mean(part)) for part in (esf[: len(esf) // 8], esf[-(len(esf) // 8) :]))
     empty = analysis.refused(capture, roi, channel=channel, flags={}, method=method)
     middle_row, middle_col = float(samples.y_px.mean()), float(samples.x_px.mean())
@@ -221,8 +222,9 @@ def _report(
         mtf10_sigma=float(sigma[2]),
         mtf50p_cy_px=float(found[3]),
         mtf50p_sigma=float(sigma[3]),
-        angle_deg=angle,
+        angle_deg=analysis.folded_angle(normal),
         orientation="horizontal" if samples.transposed else "vertical",
+        normal_deg=normal,
         distance_px=distance * sign,
         esf=esf,
         lsf=lsf * sign,

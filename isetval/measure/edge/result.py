@@ -35,6 +35,8 @@ class SfrResult:
         First falls to 50, 30, 10 % of the value at 0, and to 50 % of the curve's peak.
     angle_deg : float
         Angle of the edge from the nearer pixel axis, -45 to 45; ``orientation`` says which axis.
+    normal_deg : float
+        Direction from the dark to the bright side, 0 to 360: 0 towards larger columns, 90 towards larger rows.
     distance_px, esf, lsf : (m,)
         Signed distance along the normal (positive on the bright side), ESF in DN above black, LSF in 1/px.
     flags : tuple of str
@@ -68,6 +70,7 @@ class SfrResult:
     mtf50p_sigma: float
     angle_deg: float
     orientation: str
+    normal_deg: float
     distance_px: Float
     esf: Float
     lsf: Float
