@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from . import plan, scene, spectra
+from . import hidden_electronics, hidden_optics, outsiders, plan, scene, spectra
 from .dngfile import write_dng
 from .sensor import expose, nominal_camera, specimen_of
 
+HIDDEN_FORMS = (hidden_electronics, hidden_optics, outsiders)  # importing them registers their effects
 OWNERS = {"campaign": lambda p: "", "measurement session": lambda p: p.session, "set-up": lambda p: p.setup}
 
 

@@ -132,18 +132,18 @@ def node_shares(spectral):
     return shares / shares.sum(axis=1, keepdims=True)
 
 
-def pupil_transfer(shape, wavelength_um, f_number, defocus_um):
+def pupil_transfer(shape, wavelength_um, f_number, defocus_um, diffusion_px=0.0):
     """Transfer function on the grid of ``rfft2`` of ``shape`` pixels, pixel aperture included.
 
-    The autocorrelation of the pupil by a 2-D Fourier transform: |FT(pupil)|^2 is the point spread, its
-    sum over whole pixels and their aliases is left to the sampled picture (charts have no fine detail).
+    The spectrum of the line spread, turned around the axis.  Aliases beyond half a cycle per pixel are
+    left out: a chart's patches have no fine detail.
     """
     fy = np.fft.fftfreq(shape[0])[:, None]
     fx = np.fft.rfftfreq(shape[1])[None]
     cutoff = PITCH_UM / (wavelength_um * f_number)
     profile_f, profile = _radial_transfer(round(wavelength_um * 1e3), f_number, defocus_um)
     transfer = np.interp(np.hypot(fx, fy) / cutoff, profile_f, profile)
-    return transfer * np.sinc(fx) * np.sinc(fy)
+    return transfer * np.sinc(fx) * np.sinc(fy) * np.exp(-2 * np.pi**2 * diffusion_px**2 * (fx**2 + fy**2))
 
 
 @lru_cache(maxsize=256)

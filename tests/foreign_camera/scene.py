@@ -95,7 +95,7 @@ def mean_electrons(camera, place, lights, *, blur_chart=True):
         seen = spectra.integrate(spectral) * CHART_SURROUND
     planes = planes * optics.natural_fall_off(place.window, camera.focal_mm)[None]
     planes = apply_stage("shading", planes, camera, place, None)
-    planes = planes + apply_stage("veil", np.zeros(3), camera, place, seen * mean_fall_off(camera.focal_mm))[:, None, None]
+    planes = apply_stage("veil", planes, camera, place, seen * mean_fall_off(camera.focal_mm))
     planes = apply_stage("color", planes, camera, place, None)
     return apply_stage("mosaic", mosaic_of(planes, place.window), camera, place, None)
 
@@ -153,7 +153,8 @@ def chart_picture(camera, place, spectral, blur):
         label[row0:row1, col0:col1] = number
     curves = spectra.reflectances()
     table = np.array(
-        [np.full(spectra.WAVELENGTH_NM.size, CHART_SURROUND)] + [curves[name](spectra.WAVELENGTH_NM) for name in place.target.boxes]
+        [np.full(spectra.WAVELENGTH_NM.size, CHART_SURROUND)]
+        + [curves[name](spectra.WAVELENGTH_NM) for name in place.target.boxes]
     )
     table = apply_stage("patches", table, camera, place, lambda: list(place.target.boxes))
     if blur:
@@ -175,7 +176,7 @@ def _blurred_chart(camera, spectral, table, label):
     hats = np.array([np.interp(spectra.WAVELENGTH_NM, CHART_NODES_NM, unit) for unit in np.eye(len(CHART_NODES_NM))])
     out = np.zeros((3, *label.shape))
     for nm, hat in zip(CHART_NODES_NM, hats, strict=True):
-        transfer = optics.pupil_transfer(wide.shape, nm * 1e-3, camera.f_number, camera.focus_um)
+        transfer = optics.pupil_transfer(wide.shape, nm * 1e-3, camera.f_number, camera.focus_um, camera.diffusion_px)
         shares = spectra.integrate((spectral * hat)[:, None] * table[None])
         for channel in range(3):
             picture = np.fft.irfft2(np.fft.rfft2(shares[channel][wide]) * transfer, wide.shape)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from . import spectra
-from .effects import apply_stage, with_constants
+from .effects import STAGES, apply_stage, with_constants
+from .patterns import fixed_normals
 
-TILE = 64
 KINDS = {"prnu": 1, "dsnu": 2}
 
 
@@ -58,24 +57,7 @@ def nominal_camera(folder):
 
 def specimen_of(camera, seed, hidden=None):
     """One specimen of the camera with its hidden effects put in."""
-    from dataclasses import replace
-
     return with_constants(replace(camera, specimen=seed, hidden=dict(hidden or {})))
-
-
-@lru_cache(maxsize=4096)
-def _tile(specimen, kind, row, col):
-    return np.random.default_rng([specimen, kind, row, col]).standard_normal((TILE, TILE))
-
-
-def fixed_normals(specimen, kind, window):
-    """Unit normals that belong to the pixels of a window, (rows, cols)."""
-    row0, col0, rows, cols = window
-    tiles = [
-        np.hstack([_tile(specimen, kind, r, c) for c in range(col0 // TILE, (col0 + cols - 1) // TILE + 1)])
-        for r in range(row0 // TILE, (row0 + rows - 1) // TILE + 1)
-    ]
-    return np.vstack(tiles)[row0 % TILE :, col0 % TILE :][:rows, :cols]
 
 
 def mosaic_of(planes, window):
@@ -90,10 +72,17 @@ def expose(camera, mean_e, place, rng):
     charge = mean_e * (1 + camera.prnu * fixed_normals(camera.specimen, KINDS["prnu"], place.window))
     charge = charge + camera.dark_e_per_s * place.time_s
     charge = np.maximum(apply_stage("mean_charge", charge, camera, place, rng), 0)
-    charge = apply_stage("charge", rng.poisson(charge).astype(float), camera, place, rng)
+    charge = _collected(charge, camera, place, rng)
     charge = np.minimum(charge, camera.well_e)
     charge = charge + camera.dsnu_e * fixed_normals(camera.specimen, KINDS["dsnu"], place.window)
     charge = charge + camera.read_e * rng.standard_normal(charge.shape)
     signal = camera.gain * apply_stage("voltage", charge, camera, place, rng)
     signal = apply_stage("signal", signal, camera, place, rng) + camera.black
     return np.clip(np.floor(signal + 0.5), 0, camera.white).astype(np.uint16)
+
+
+def _collected(mean, camera, place, rng):
+    """Electrons in the pixels at the end of the exposure."""
+    if any(name in camera.hidden for name in STAGES.get("collect", {})):
+        return apply_stage("collect", mean, camera, place, rng)
+    return rng.poisson(mean).astype(float)
