@@ -219,16 +219,13 @@ def _warnings(
         better = max(scores, key=lambda name: scores[name])
         out.append(f"the patch colours fit the chart better when read {better}: check the order of corners or boxes")
     elif scores and scores["upright"] < DOUBTFUL_SCORE:
-        out.append(
-            f"the patch colours fit the chart with only {scores['upright']:.2f}: check the place, or the chart is not the classic one"
-        )
+        out.append(f"the patch colours fit the chart with only {scores['upright']:.2f}: check the place and the kind of chart")
     if found is not None and found.score - found.runner_up < 0.1:
         out.append("the reading direction of the chart is uncertain: two directions fit almost alike")
     share = patches.clipped_pixels / np.maximum(patches.pixels, 1)
     for i, j in np.argwhere(share > CLIPPED_SHARE):
-        out.append(
-            f"patch {labels[i]}, plane {patches.planes[j]}: {100 * share[i, j]:.1f} % of the pixels are clipped; its mean is biased"
-        )
+        part = f"{100 * share[i, j]:.1f} % of the pixels are clipped"
+        out.append(f"patch {labels[i]}, plane {patches.planes[j]}: {part}; its mean is biased")
     return out
 
 

@@ -75,7 +75,7 @@ def build_result(
 
 def _pixels(x_mm: float, y_mm: float, sensor: Sensor) -> tuple[float, float]:
     pitch = sensor.pixel_um * 1e-3
-    return (y_mm / pitch + (sensor.rows - 1) / 2, x_mm / pitch + (sensor.cols - 1) / 2)
+    return (float(y_mm / pitch + (sensor.rows - 1) / 2), float(x_mm / pitch + (sensor.cols - 1) / 2))
 
 
 def _center(surface: Surface, sensor: Sensor, inflation: float) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -116,6 +116,10 @@ def _plane(
     covariance = inflation**2 * gradient @ own_covariance @ gradient.T
     lift = (1 - curve) * black_sigma_dn / signal
     covariance = covariance + np.outer(lift, lift)
+    truncation = np.zeros_like(curve)
+    if fitted.shorter is not None and shared:
+        truncation = curve - curve_gradient(radius, fitted.shorter.coefficients[k], fitted.shorter.radial)[1]
+        covariance = covariance + np.outer(truncation, truncation)
     blocks, points, keep = fitted.blocks[plane], fitted.points[plane], fitted.keep[plane]
     geometry = fitted.single[plane]
     center, center_sigma = _center(geometry, sensor, inflation)
@@ -230,10 +234,7 @@ def _warnings(fitted: Fitted, chi2_dof: float, dof: int, probability: float) -> 
         )
     if probability < SAME_CENTER_P:
         out.append(f"the planes have different centres or tilts (p = {probability:.1g}); each plane's own is used for its curve")
-    if fitted.geometry == "none":
-        out.append("the windows do not surround the middle well enough to fit a centre: the sensor's middle is used")
-    elif fitted.geometry == "center":
-        out.append("centre and tilt cannot be told apart with these data: the tilt is taken as 0")
+    out.extend(fitted.notes)
     clipped = sum(b.clipped_blocks for b in fitted.blocks.values())
     if clipped:
         out.append(f"{clipped} blocks hold clipped pixels and were left out; expose less")

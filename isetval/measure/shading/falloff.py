@@ -13,13 +13,14 @@ from isetval.core.capture import Capture, Roi, field_mm, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.measure.shading.assemble import build_result
 from isetval.measure.shading.blocks import Blocks, join_blocks, measure_blocks
-from isetval.measure.shading.order import chi2_by_order, choose_radial, tilt_is_needed
+from isetval.measure.shading.order import chi2_by_order, choose_polynomial, choose_spline, tilt_is_needed
 from isetval.measure.shading.radial import HIGHEST_ORDER, Radial
 from isetval.measure.shading.results import RelativeIllumination
 from isetval.measure.shading.surface import GEOMETRIES, Points, Surface, block_bias, evaluate, fit_surface
 
 Float = NDArray[np.float64]
 BLOCK_PX = 24
+FIRST_ORDER = 5
 DROP_SIGMAS = 5.0
 
 
@@ -27,7 +28,8 @@ DROP_SIGMAS = 5.0
 class Fitted:
     """Everything the result is built from: data, surface and what was chosen.
 
-    ``common`` and ``single`` are fits of one and the same basis with shared and with own geometry.
+    ``common`` and ``single`` are fits of one and the same basis with shared and with own geometry; ``shorter`` is the
+    fit one order lower where the data could not carry a spare order: its distance is counted as truncation error.
     """
 
     blocks: Mapping[str, Blocks]
@@ -41,6 +43,8 @@ class Fitted:
     geometry: str
     radial: Radial
     reach_mm: float
+    shorter: Surface | None
+    notes: tuple[str, ...]
 
 
 def relative_illumination(
@@ -162,9 +166,11 @@ def _checked(captures: Capture | Sequence[Capture]) -> list[Capture]:
 
 
 def _block_size(frames: Sequence[Capture]) -> int:
+    """About 48 blocks along the short side of one window, two along that of many."""
     step = 1 if frames[0].sensor.cfa == "MONO" else 2
     shortest = min(min(frame.mosaic.shape) for frame in frames) // step
-    return int(max(2, min(BLOCK_PX, -(-shortest // 2))))
+    one_window = len({(frame.window, frame.mosaic.shape) for frame in frames}) == 1
+    return int(np.clip(shortest // 48, 4, BLOCK_PX) if one_window else np.clip(-(-shortest // 2), 2, BLOCK_PX))
 
 
 def _dark_means(frames: Sequence[Capture]) -> dict[str, float]:
@@ -220,11 +226,11 @@ def _points(part: Blocks, capture: Capture, scale: float) -> Points:
 
 
 def _highest_order(points: Sequence[Points], radius_mm: float) -> int:
-    """Largest order the radii can carry: two fewer than the distinct radii, at most a quarter of the points."""
+    """Largest order the data can carry: two fewer than the distinct radii, and few against the blocks."""
     radius = np.concatenate([np.hypot(p.x_mm, p.y_mm) for p in points])
     distinct = len(np.unique(np.round(radius / radius_mm * 60)))
     fewest = min(p.value.size for p in points)
-    return int(np.clip(min(HIGHEST_ORDER, distinct - 2, (fewest - 4) // 3), 1, HIGHEST_ORDER))
+    return int(np.clip(min(HIGHEST_ORDER, distinct - 2, np.sqrt(fewest) / 1.5, (fewest - 4) // 3), 1, HIGHEST_ORDER))
 
 
 def _first_geometry(points: Sequence[Points]) -> str:
@@ -244,29 +250,38 @@ def fit_blocks(
     radius = 1.04 * max(float(np.hypot(p.x_mm, p.y_mm).max()) for p in points.values()) + 0.002 * capture.sensor.pixel_um
     kept = [points[p].keep(keep[p]) for p in points]
     richest = Radial("polynomial", _highest_order(kept, radius), radius)
-    surface, name = _settle(kept, radial=Radial("polynomial", min(4, richest.order), radius), geometry=geometry)
-    surface = fit_surface(kept, radial=richest, geometry=name, start=surface.geometry, steps=6)
+    first = Radial("polynomial", min(FIRST_ORDER, richest.order), radius)
+    surface, name, notes = _settle(kept, radial=first, geometry=geometry)
+    shape = choose_polynomial(kept, chi2_by_order(kept, surface, richest), surface, richest)
+    surface = fit_surface(kept, radial=shape, geometry=name, start=surface.geometry, steps=6)
     for (plane, part), coefficients in zip(points.items(), surface.coefficients, strict=True):
-        corrected = part.value - block_bias(part, surface.geometry, coefficients, richest)
+        corrected = part.value - block_bias(part, surface.geometry, coefficients, shape)
         points[plane] = Points(part.x_mm, part.y_mm, part.spread_x_mm2, part.spread_y_mm2, corrected, part.sigma)
-        keep[plane] &= _inliers(points[plane], surface.geometry, coefficients, richest, keep[plane])
+        keep[plane] &= _inliers(points[plane], surface.geometry, coefficients, shape, keep[plane])
     kept = [points[p].keep(keep[p]) for p in points]
-    surface = fit_surface(kept, radial=richest, geometry=name, start=surface.geometry, steps=3)
+    surface = fit_surface(kept, radial=shape, geometry=name, start=surface.geometry, steps=3)
     surface, name = _without_needless_tilt(kept, surface, name, fixed=geometry is not None)
-    by_order = chi2_by_order(kept, surface)
-    splines = basis != "polynomial" and all(b.grid is not None for b in blocks.values()) and richest.order == HIGHEST_ORDER
+    by_order = chi2_by_order(kept, surface, richest)
+    shape = choose_polynomial(kept, by_order, surface, richest)
     reach = _reach_mm(points.values(), surface, capture.sensor.pixel_um)
-    radial = choose_radial(kept, surface, by_order, splines=splines, reach_mm=reach)
+    radial = shape
     if order is not None:
         radial = Radial(basis or "polynomial", order, reach if basis == "spline" else radius)
+    elif basis != "polynomial" and all(b.grid is not None for b in blocks.values()) and shape.order >= HIGHEST_ORDER - 3:
+        finest = fit_surface(kept, radial=richest, geometry=name, start=surface.geometry, steps=3)
+        radial = choose_spline(kept, finest, reach_mm=reach) or shape
     final = fit_surface(kept, radial=radial, geometry=name, start=surface.geometry)
-    shape = radial if radial.kind == "polynomial" else richest
-    common = final if shape is radial else surface
+    shape = radial if radial.kind == "polynomial" else shape
+    shorter = None
+    if order is None and radial.kind == "polynomial" and 1 < radial.order == richest.order:
+        lower = Radial("polynomial", radial.order - 1, radius)
+        shorter = fit_surface(kept, radial=lower, geometry=name, start=surface.geometry, steps=3)
+    common = final if shape is radial else fit_surface(kept, radial=shape, geometry=name, start=surface.geometry, steps=4)
     single = {
         p: fit_surface([part], radial=shape, geometry=name, start=surface.geometry, steps=3)
         for p, part in zip(points, kept, strict=True)
     }
-    return Fitted(blocks, points, keep, scale, final, common, single, by_order, name, radial, reach)
+    return Fitted(blocks, points, keep, scale, final, common, single, by_order, name, radial, reach, shorter, notes)
 
 
 def _reach_mm(points: Iterable[Points], surface: Surface, pixel_um: float) -> float:
@@ -295,15 +310,30 @@ def _inliers(points: Points, geometry: Float, coefficients: Float, radial: Radia
     return np.asarray(np.abs(z) <= DROP_SIGMAS * spread)
 
 
-def _settle(points: Sequence[Points], *, radial: Radial, geometry: str | None) -> tuple[Surface, str]:
+def _settle(points: Sequence[Points], *, radial: Radial, geometry: str | None) -> tuple[Surface, str, tuple[str, ...]]:
     """First fit; without an instruction, the richest geometry whose centre is determined to a tenth of the field."""
     wanted = [geometry] if geometry else ["center+tilt", "center", "none"]
     if geometry is None and _first_geometry(points) == "none":
         wanted = ["none"]
-    surface = fit_surface(points, radial=radial, geometry="none")
+    surface, name = fit_surface(points, radial=radial, geometry="none"), "none"
     for name in wanted:
         surface = fit_surface(points, radial=radial, geometry=name)
         spread = np.sqrt(np.maximum(np.diag(surface.covariance)[-4:-2], 0)).max()
         if name == "none" or geometry or (surface.converged and spread < 0.1 * radial.radius_mm):
-            return surface, name
-    return surface, wanted[-1]
+            break
+    _check_reach(points, surface)
+    notes = {
+        "none": "the windows do not surround the middle well enough to fit a centre: the sensor's middle is used",
+        "center": "centre and tilt cannot be told apart with these data: the tilt is taken as 0",
+    }
+    return surface, name, () if geometry or name not in notes else (notes[name],)
+
+
+def _check_reach(points: Sequence[Points], surface: Surface) -> None:
+    """The curve is 1 at the centre: some block must lie near it."""
+    radius = np.hypot(points[0].x_mm - surface.geometry[0], points[0].y_mm - surface.geometry[1])
+    if radius.min() > 0.3 * radius.max():
+        raise MeasurementError(
+            f"the measured blocks lie {radius.min():.2f}..{radius.max():.2f} mm from the centre; relative illumination is 1 "
+            "at the centre and needs data within 0.3 of the largest radius: add a window there"
+        )

@@ -15,12 +15,17 @@ PENALTY = 3.0
 RINGS = 240
 
 
-def chi2_by_order(planes: Sequence[Points], surface: Surface) -> Float:
-    """Chi2 of all planes for polynomial orders 0..``surface``'s, geometry free near it, one factorisation a plane."""
-    total = np.zeros(surface.radial.order + 1)
-    geometry = [surface.radial.count + j for j in surface.free]
+def chi2_by_order(planes: Sequence[Points], surface: Surface, richest: Radial) -> Float:
+    """Chi2 of all planes for polynomial orders 0..``richest``'s, one factorisation a plane.
+
+    Geometry is free: its columns come first, linearised about ``surface``, a fit of moderate order.
+    """
+    total = np.zeros(richest.order + 1)
+    geometry = [richest.count + j for j in surface.free]
     for points, coefficients in zip(planes, surface.coefficients, strict=True):
-        matrix = design(points, surface.geometry, coefficients, surface.radial)[:, [*geometry, *range(surface.radial.count)]]
+        padded = np.zeros(richest.count)
+        padded[: min(len(coefficients), richest.count)] = coefficients[: richest.count]
+        matrix = design(points, surface.geometry, padded, richest)[:, [*geometry, *range(richest.count)]]
         data = points.value / points.sigma
         gram = matrix.T @ matrix
         scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
@@ -30,25 +35,24 @@ def chi2_by_order(planes: Sequence[Points], surface: Surface) -> Float:
     return total
 
 
-def choose_radial(
-    planes: Sequence[Points], surface: Surface, by_order: Float, *, splines: bool, reach_mm: float, lowest: int = 1
-) -> Radial:
-    """The next richer basis than that of least ``chi2 / scale + 3 x coefficients``.
+def choose_polynomial(planes: Sequence[Points], by_order: Float, surface: Surface, richest: Radial) -> Radial:
+    """The polynomial one order above that of least ``chi2 / scale + 3 x coefficients``.
 
     ``scale`` is chi2/dof of the highest order where that exceeds 1 (structure no radial curve describes).
-    One step beyond the best keeps the truncation error below the quoted sigma.  Splines are taken only where
-    rings of the residuals of the highest polynomial still show structure.
+    One step beyond the best keeps the truncation error below the quoted sigma.
     """
     points = sum(p.value.size for p in planes)
     orders = np.arange(by_order.size)
-    scale = max(1.0, float(by_order[-1]) / max(points - len(planes) * by_order.size, 1))
+    scale = max(1.0, float(by_order[-1]) / max(points - len(planes) * by_order.size - len(surface.free), 1))
     cost = by_order / scale + PENALTY * len(planes) * (orders + 1)
-    cost[: min(lowest, by_order.size - 1)] = np.inf
-    best = int(np.argmin(cost))
-    intervals = _spline_intervals(planes, surface) if splines and best >= by_order.size - 4 else 0
-    if intervals:
-        return Radial("spline", intervals, reach_mm)
-    return Radial("polynomial", min(best + 1, by_order.size - 1), surface.radial.radius_mm)
+    cost[: min(1, by_order.size - 1)] = np.inf
+    return Radial("polynomial", min(int(np.argmin(cost)) + 1, richest.order), richest.radius_mm)
+
+
+def choose_spline(planes: Sequence[Points], finest: Surface, *, reach_mm: float) -> Radial | None:
+    """A spline where rings of the residuals of the highest polynomial still show structure, else None."""
+    intervals = _spline_intervals(planes, finest)
+    return Radial("spline", intervals, reach_mm) if intervals else None
 
 
 def _spline_intervals(planes: Sequence[Points], surface: Surface) -> int:

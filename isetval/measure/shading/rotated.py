@@ -30,7 +30,7 @@ class RotatedSeparation:
     Parameters
     ----------
     camera : RelativeIllumination
-        Of the geometric mean of the two flats: the camera's fall-off (times the even part of the light), with the
+        Of the mean of the two flats at equal level: the camera's fall-off (times the even part of the light), with the
         camera's own centre and tilt.
     light_tilt_per_mm, light_tilt_sigma_per_mm : (x, y)
         Linear part of the odd light in the first flat, relative per mm on the sensor, all planes together.
@@ -76,14 +76,14 @@ def separate_rotated(
     Notes
     -----
     On the sensor, the first flat is C(x) L(x), the second C(x) L(-x) times a level.  Hence
-    C sqrt(L(x) L(-x)) = sqrt(F0 F180) and (L(x) - L(-x)) / (L(x) + L(-x)) = (F0 - F180) / (F0 + F180) at equal levels.
+    C (L(x) + L(-x)) = F0 + F180 and (L(x) - L(-x)) / (L(x) + L(-x)) = (F0 - F180) / (F0 + F180) at equal levels.
     """
     size = (choices or {}).get("block_px")
     first, frame, used_size, notes = collect_blocks(flat_0, roi=roi, dark=dark, block_px=size)
     second, *_ = collect_blocks(flat_180, roi=roi, dark=dark, block_px=used_size)
     _check_same_places(first, second)
     ratio = {p: _level_ratio(first[p], second[p]) for p in first}
-    mean = {p: _geometric_mean(first[p], second[p]) for p in first}
+    mean = {p: _mean(first[p], second[p], ratio[p]) for p in first}
     told = choices or {}
     fitted = fit_blocks(mean, frame, geometry=told.get("geometry"), basis=told.get("basis"), order=told.get("order"))
     camera = build_result(
@@ -127,12 +127,16 @@ def _level_ratio(first: Blocks, second: Blocks) -> float:
     return float(np.exp(np.median(np.log(second.signal_dn[used] / first.signal_dn[used]))))
 
 
-def _geometric_mean(first: Blocks, second: Blocks) -> Blocks:
-    used = first.used & second.used & (first.signal_dn > 0) & (second.signal_dn > 0)
-    a, b = (np.where(used, part.signal_dn, 1.0) for part in (first, second))
-    mean = np.sqrt(a * b)
-    sigma = mean / 2 * np.hypot(first.sigma_dn / a, second.sigma_dn / b)
-    return replace(first, signal_dn=mean, sigma_dn=sigma, used=used, bad_pixels=first.bad_pixels + second.bad_pixels)
+def _mean(first: Blocks, second: Blocks, ratio: float) -> Blocks:
+    """Mean of the flats at equal level: the odd light drops out exactly."""
+    return replace(
+        first,
+        signal_dn=(first.signal_dn + second.signal_dn / ratio) / 2,
+        sigma_dn=np.hypot(first.sigma_dn, second.sigma_dn / ratio) / 2,
+        used=first.used & second.used,
+        bad_pixels=first.bad_pixels + second.bad_pixels,
+        clipped_blocks=first.clipped_blocks + second.clipped_blocks,
+    )
 
 
 def _odd_light(first: Blocks, second: Blocks, ratio: float) -> tuple[Float, Float]:
