@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +85,7 @@ PUPIL = pupil_points()
 def trace(p: Prescription, angles: np.ndarray, radius: float, wavelength: float, back: float) -> tuple[np.ndarray, ...]:
     """Film positions (2, fields, rays), directions there (3, ...), clipped to the tracer's reach."""
     n = PUPIL.shape[1]
-    squeeze = 1 - 0.22 * (angles / np.radians(FIELD_DEG)) ** 4
+    squeeze = 1 - 0.22 * (angles / angles.max()) ** 4
     x = np.tile(PUPIL[0] * radius, (len(angles), 1))
     y = PUPIL[1][None, :] * radius * squeeze[:, None]
     start = np.stack([x.ravel(), y.ravel(), np.full(x.size, p.heights_mm[0])])
@@ -139,27 +138,38 @@ def penalties(p: Prescription, v: np.ndarray) -> np.ndarray:
 
 
 # %%
-FIELD_DEG = 34.0
-GROWING = [(5.0, 12.0 + 1.0 * i, (555.0,), 12) for i in range(23)]
-OPENING = [(5.0 - 0.2 * i, FIELD_DEG, (555.0, 470.0, 640.0), 15) for i in range(16)]
-STAGES = [*GROWING, *OPENING, (2.0, FIELD_DEG, (555.0, 470.0, 640.0), 150)]
+FIELD_DEG = 27.0
+COLORS = (555.0, 470.0, 640.0)
+GROWING = [(5.0, 12.0 + 1.0 * i, (555.0,), 12) for i in range(16)]
+OPENING = [(5.0 - 0.25 * i, FIELD_DEG, COLORS, 12) for i in range(13)]
+WIDENING = [(2.0, FIELD_DEG + 0.5 * i, COLORS, 25) for i in range(1, 15)]
+STAGES = [*GROWING, *OPENING, (2.0, FIELD_DEG, COLORS, 80), *WIDENING]
+WORST_SPOT_UM = 12.0
+
+
+def report(v: np.ndarray, f_number: float, field_deg: float) -> np.ndarray:
+    """Root-mean-square spot radii over the field in um; printed."""
+    angles = np.radians(np.linspace(0, field_deg, 9))
+    hit, direction = trace(build(v, f_number), angles, FOCAL_MM / f_number / 2, 555.0, v[-1])
+    spots = np.sqrt(((hit - hit.mean(axis=2, keepdims=True)) ** 2).sum(axis=0).mean(axis=1)) * 1e3
+    chief = np.degrees(np.arctan2(direction[1, :, 0], -direction[2, :, 0]))
+    print(f"F/{f_number:.2f} {field_deg} deg: rms spots um {np.round(spots, 1)}, chief ray {np.round(chief, 0)}")
+    return spots
 
 
 def design(output: Path, start: np.ndarray | None = None, stages: list | None = None) -> np.ndarray:
-    """Run the stages and write the parameter vector after each."""
+    """Run the stages; keep each result only if every spot is small, and write it."""
     v = pack() if start is None else start
     for f_number, field_deg, wavelengths, steps in stages or STAGES:
-        found = least_squares(
-            residuals, v, args=(f_number, field_deg, wavelengths), x_scale=scales(), max_nfev=steps, method="trf"
-        )
+        arguments = (f_number, field_deg, wavelengths)
+        found = least_squares(residuals, v, args=arguments, x_scale=scales(), max_nfev=steps, method="trf")
+        if report(found.x, f_number, field_deg).max() > WORST_SPOT_UM:
+            print("rejected")
+            if f_number <= 2.0:
+                break
+            continue
         v = found.x
-        hit, direction = trace(
-            build(v, f_number), np.radians(np.linspace(0, field_deg, 9)), FOCAL_MM / f_number / 2, 555.0, v[-1]
-        )
-        spots = np.sqrt(((hit - hit.mean(axis=2, keepdims=True)) ** 2).sum(axis=0).mean(axis=1)) * 1e3
-        chief = np.degrees(np.arctan2(direction[1, :, 0], -direction[2, :, 0]))
-        print(f"F/{f_number:.1f} {field_deg} deg: cost {found.cost:.1f}, rms spots um {np.round(spots, 1)}, CRA {np.round(chief, 0)}")
-        output.write_text(json.dumps({"f_number": f_number, "v": v.tolist()}))
+        output.write_text(json.dumps({"f_number": f_number, "field_deg": field_deg, "v": v.tolist()}))
     return v
 
 
@@ -168,7 +178,64 @@ def scales() -> np.ndarray:
     return np.concatenate([np.full(10, 0.05), np.full(10 * len(POWERS), 0.02), np.full(10, 0.1), [0.05]])
 
 
+def prescription_toml(design_file: Path, corner_mm: float = 3.60) -> str:
+    """TOML of a design, scaled so that its widest field reaches the corner of the sensor, with clear apertures."""
+    found = json.loads(design_file.read_text())
+    v, f_number, field_deg = np.array(found["v"]), found["f_number"], found["field_deg"]
+    p = build(v, f_number)
+    angles = np.radians(np.linspace(0, field_deg, 25))
+    hit, _ = trace(p, angles, FOCAL_MM / f_number / 2, 555.0, v[-1])
+    scale = corner_mm / hit[1, -1].mean()
+    clear = clear_apertures(p, angles, f_number)
+    lines = [
+        'name = "isetval-default"',
+        f'source = "isetval: designed from first principles with its own ray tracer (analyses/default_lens_design.py); F/{f_number}"',
+        'license = "BSD-3-Clause, as the rest of the project"',
+        f"field_deg = {field_deg}",
+        f"film_mm = {v[-1] * scale:.5f}  # filter to film in the design, object at infinity",
+    ]
+    for i, s in enumerate(p.surfaces):
+        lines += ["", "[[surface]]"]
+        if not np.isinf(s.radius_mm):
+            lines.append(f"radius_mm = {s.radius_mm * scale:.7g}")
+        if i < len(p.surfaces) - 1:
+            lines.append(f"thickness_mm = {s.thickness_mm * scale:.6f}")
+        if s.abbe > 0:
+            lines += [f"index_d = {s.index_d}", f"abbe = {s.abbe}"]
+        lines.append(f"semi_aperture_mm = {(s.semi_aperture_mm if s.stop else 1.02 * clear[i]) * scale:.5f}")
+        if s.stop:
+            lines.append("stop = true")
+        if s.powers:
+            lines.append("[surface.powers]")
+            lines += [f"{power} = {a / scale ** (power - 1):.9g}" for power, a in s.powers.items()]
+    return "\n".join(lines) + "\n"
+
+
+def clear_apertures(p: Prescription, angles: np.ndarray, f_number: float) -> list[float]:
+    """Largest distance from the axis of the design's rays on every surface."""
+    largest = []
+    for count in range(1, len(p.surfaces) + 1):
+        part = Prescription("part", p.surfaces[:count])
+        largest.append(float(np.hypot(*trace_points(part, angles, FOCAL_MM / f_number / 2)[:2]).max()))
+    return largest
+
+
+def trace_points(p: Prescription, angles: np.ndarray, radius: float) -> np.ndarray:
+    """Points (3, n) of the design's rays on the last surface."""
+    squeeze = 1 - 0.22 * (angles / angles.max()) ** 4
+    x = np.tile(PUPIL[0] * radius, (len(angles), 1))
+    y = PUPIL[1][None, :] * radius * squeeze[:, None]
+    w = np.repeat(angles, PUPIL.shape[1])
+    start = np.stack([x.ravel(), y.ravel(), np.full(x.size, p.heights_mm[0])])
+    return p.from_scene(start, np.stack([np.zeros_like(w), np.sin(w), -np.cos(w)]), wavelength_nm=555.0).point_mm
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("-o", "--output", type=Path, default=Path("default_lens_design.json"))
-    design(parser.parse_args().output)
+    parser.add_argument("--write", type=Path, help="write the prescription of a finished design to this TOML")
+    options = parser.parse_args()
+    if options.write is None:
+        design(options.output)
+    else:
+        options.write.write_text(prescription_toml(options.output))

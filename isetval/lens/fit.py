@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -264,33 +264,45 @@ def _field_groups(r: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.bincount(member, weights=r, minlength=51) / counts, member
 
 
-def minimum_ellipse(points: FloatArray, *, tolerance: float = 1e-7) -> tuple[FloatArray, FloatArray]:
-    """Minimum-area axis-aligned-by-symmetry ellipse around points (2, n): center (2,), semi-axes (2,).
+def minimum_ellipse(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Minimum-area ellipse around points (2, n) that are symmetric about x = 0: center (2,), semi-axes (2,).
 
-    Khachiyan's algorithm with away steps on the convex hull (Todd and Yildirim 2007).
+    Such an ellipse has its axes along x and y and its center on x = 0 (it is unique, so it shares the
+    symmetry).  For a ratio k of its axes and a center y0 the least y-axis is max sqrt((x/k)^2 + (y - y0)^2);
+    its area is convex in both, and two nested golden-section searches find the minimum.
     """
     hull = _hull(points)
-    lifted = np.vstack([hull, np.ones(hull.shape[1])])
-    n = hull.shape[1]
-    u = np.full(n, 1.0 / n)
-    for _ in range(20000):
-        m = np.einsum("ij,ij->j", lifted, np.linalg.solve((lifted * u) @ lifted.T, lifted))
-        high, active = int(np.argmax(m)), np.flatnonzero(u > 1e-12)
-        low = int(active[np.argmin(m[active])])
-        if m[high] - 3 <= 3 * tolerance and 3 - m[low] <= 3 * tolerance:
-            break
-        if m[high] - 3 >= 3 - m[low]:
-            step, j = (m[high] - 3) / (3 * (m[high] - 1)), high
+    x2, y = hull[0] ** 2, hull[1]
+
+    def axis(k: float, center: float) -> float:
+        return float(np.sqrt((x2 / k**2 + (y - center) ** 2).max()))
+
+    def best_center(k: float) -> float:
+        return golden(lambda center: axis(k, center), float(y.min()), float(y.max()))
+
+    aspect = np.sqrt(x2.max()) / (np.ptp(y) / 2)
+    log_k = golden(lambda t: t + 2 * np.log(axis(np.exp(t), best_center(np.exp(t)))), np.log(aspect) - 1, np.log(aspect) + 1)
+    k = float(np.exp(log_k))
+    center = best_center(k)
+    semi_y = axis(k, center)
+    return np.array([0.0, center]), np.array([k * semi_y, semi_y])
+
+
+def golden(function: Callable[[float], float], low: float, high: float, steps: int = 40) -> float:
+    """Minimum of a convex function by golden-section search."""
+    ratio = (np.sqrt(5.0) - 1) / 2
+    c, d = high - ratio * (high - low), low + ratio * (high - low)
+    fc, fd = function(c), function(d)
+    for _ in range(steps):
+        if fc < fd:
+            high, d, fd = d, c, fc
+            c = high - ratio * (high - low)
+            fc = function(c)
         else:
-            step, j = (m[low] - 3) / (3 * (m[low] - 1)), low
-            step = max(step, -u[j] / (1 - u[j]))
-        u *= 1 - step
-        u[j] += step
-    center = hull @ u
-    spread = (hull * u) @ hull.T - np.outer(center, center)
-    semi = np.sqrt(2 * np.diag(spread))
-    inflate = np.sqrt((((hull - center[:, None]) / semi[:, None]) ** 2).sum(axis=0).max())
-    return center, semi * inflate
+            low, c, fc = c, d, fd
+            d = low + ratio * (high - low)
+            fd = function(d)
+    return (low + high) / 2
 
 
 def _hull(points: FloatArray) -> FloatArray:

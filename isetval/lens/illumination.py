@@ -235,11 +235,11 @@ def focal_length_mm(lens: RayTransferLens, *, wavelength_nm: float | None = None
 
     Notes
     -----
-    Such a ray at height q leaves into the scene with slope -q/f + O(q^3).  The cubic is fitted over the half of
+    Such a ray at height q leaves into the scene with slope -q/f + O(q^3).  The cubic is fitted next to
     the pupil next to the axis, with a constant that takes up what a fitted polynomial shows at r = 0.
     """
     region = lens.table(wavelength_nm).region
-    height = np.linspace(0.02, 0.8, 40) * region.radius(np.zeros(1))[0]
+    height = np.linspace(0.02, 0.4, 40) * region.radius(np.zeros(1))[0]
     out = lens.trace(np.stack([np.zeros_like(height), height]), np.zeros((2, 40)), wavelength_nm=wavelength_nm)
     design = np.stack([np.ones_like(height), height, height**3], axis=1)
     bend = np.linalg.lstsq(design, out.direction[1] / out.direction[2], rcond=None)[0][1]

@@ -19,8 +19,8 @@ def rays_of(lens: RayTransferLens, heights: np.ndarray, *, turn: bool = False) -
     for i, r in enumerate(heights):
         a = 0.7 * i if turn else np.pi / 2
         point = r * np.array([np.cos(a), np.sin(a)])
-        beam = pupil_rays(lens, point, rings=6, azimuths=40)
-        directions += [beam.direction[:2], beam.rim_direction[:2] * (1 - 1e-9)]
+        beam = pupil_rays(lens, point, rings=4, azimuths=24)
+        directions += [beam.direction[:2], beam.rim_direction[:2]]
         points.append(np.tile(point[:, None], (1, beam.direction.shape[1] + beam.rim_direction.shape[1])))
     point, direction = np.hstack(points), np.hstack(directions)
     out = lens.trace(point, direction)
@@ -59,11 +59,13 @@ def test_the_pass_region_comes_back_too(known) -> None:
     lens, rays = known
     found = refit(lens, rays, symmetry="mirror", degrees=(4,))
     old, new = lens.table().region, found.lens.table().region
-    # mirror symmetry moves the center to x = 0: the published offset is .0012 mm, 3e-3 of the radius
-    np.testing.assert_allclose(new.radii_mm, old.radii_mm[1:], rtol=6e-3)
+    # mirror symmetry moves the center to x = 0: an ellipse around both halves is wider by at most the offset
+    slack = np.abs(old.centers_mm[1:, :1]) + 5e-4
+    assert (np.abs(new.radii_mm - old.radii_mm[1:]) <= slack).all()
     np.testing.assert_allclose(new.centers_mm[:, 1], old.centers_mm[1:, 1], atol=2e-3)
     r = np.array([0.5, 1.5, 3.0])
-    np.testing.assert_allclose(found.lens.irradiance_factor(r, 0 * r), lens.irradiance_factor(r, 0 * r), rtol=4e-3)
+    wider = float(np.abs(old.centers_mm[:, 0] / old.radii_mm[:, 0]).max())
+    np.testing.assert_allclose(found.lens.irradiance_factor(r, 0 * r), lens.irradiance_factor(r, 0 * r), rtol=wider + 2e-3)
 
 
 def test_rays_at_any_azimuth_give_the_same_fit(known) -> None:
