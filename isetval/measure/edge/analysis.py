@@ -14,7 +14,6 @@ from isetval.measure.edge import spectrum
 from isetval.measure.edge.estimate import Estimate, measure_edge
 from isetval.measure.edge.locate import FirstLook, first_look
 from isetval.measure.edge.prior import shape_prior
-from isetval.measure.edge.refine import distances
 from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.samples import Samples, check_channel, plane_samples
 from isetval.measure.edge.smooth import EsfFit
@@ -195,7 +194,7 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
     value = [NAN if refuse else c.value for c in found]
     sigma = [NAN if refuse else c.sigma * inflation for c in found]
     row, col = (float(x[0]), line.y_center_px) if samples.transposed else (line.y_center_px, float(x[0]))
-    distance, esf, lsf = curves(fit, distances(samples, line))
+    distance, esf, lsf = curves(fit, estimate.distance_px)
     level_sigma = np.sqrt(np.diag(fit.covariance)[:2])
     return SfrResult(
         frequency_cy_px=frequency,

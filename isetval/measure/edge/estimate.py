@@ -16,13 +16,20 @@ from isetval.measure.edge.refine import (
     TABLE_STEP,
     Geometry,
     NoiseLevel,
+    RowShifts,
+    SideNoise,
+    along_edge,
+    core_of,
     distances,
     esf_table,
     fit_along,
     gain_of,
+    gain_at,
     gather,
     noise_level,
+    normal_distance,
     row_shifts,
+    thinned,
     update_line,
 )
 from isetval.measure.edge.samples import Samples
@@ -31,20 +38,12 @@ from isetval.measure.edge.smooth import Binned, EsfFit, fit_esf
 Float = NDArray[np.float64]
 
 MIN_WIDTH_PX = 0.2
-PASSES = 10
+PASSES = 6
+MOVES = 6
+THINNED = 3500
 MODEL_ERROR = 2e-5
 MOVING_ERROR = 2e-3
-SHADING_DONE = 0.003
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Levels, rounding variance and ESF known so far."""
-
-    dark: float
-    step: float
-    floor: float
-    fit: EsfFit | None = None
+SHADING_DONE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +54,7 @@ class Estimate:
     fit: EsfFit
     noise: NoiseLevel
     binned: Binned
+    distance_px: Float
     roughness_px: float
     edge_sigma_px: float
     choices: Mapping[str, Any]
@@ -73,61 +73,102 @@ def measure_edge(samples: Samples, look: FirstLook, *, floor: float, choices: Ma
         Order, width and amplitudes chosen on another capture.
     """
     chosen = dict(choices or {})
-    order = chosen.get("order")
     line = look.line
-    if order is not None and line.order > order:
-        line = line.with_coefficients(line.coefficients[: order + 1])
+    if chosen.get("order") is not None and line.order > chosen["order"]:
+        line = line.with_coefficients(line.coefficients[: chosen["order"] + 1])
     half = 0.5 * max(samples.step_px * samples.values.shape[1], samples.row_step_px * len(samples.y_px))
-    geometry = Geometry(line, half_px=half)
-    width = first_width(samples, line, look)
-    state = _State(look.dark, look.bright - look.dark, floor)
-    row_chi2 = float("nan")
-    for turn in range(PASSES):
-        width = smooth.width_of(smooth.width_index(width))
-        distance = distances(samples, geometry.line)
+    scale = look.bright - look.dark
+    some = thinned(samples, THINNED)
+    width = first_width(some, line, look)
+    geometry, sides = fit_along(some, Geometry(line, half_px=half), width)
+    for _ in range(PASSES):
+        sides = SideNoise(max(sides.dark, floor), max(sides.bright, floor))
+        moved = locate(samples, geometry, width, sides, scale=scale, floor=floor, order=chosen.get("order"))
+        geometry = moved.geometry
+        width = moved.width_px
+        if "width_index" in chosen:
+            width = smooth.width_of(int(chosen["width_index"]))
         before = geometry.gain
-        geometry = fit_along(samples, geometry, distance, width)
-        fit, noise, _ = _esf(samples, geometry, distance, width, state=state, chosen=None)
-        state = _State(fit.dark, fit.step, floor, fit)
-        shifts = row_shifts(samples, geometry, fit, noise)
-        line, row_chi2 = update_line(geometry.line, samples.y_px, shifts, order=order)
+        geometry, sides = fit_along(some, geometry, width)
+        fit, noise, binned, distance = _whole(samples, geometry, width, moved.fit, floor=floor, chosen=chosen)
+        across = [float(np.clip(g + c, -0.8, 0.8)) for g, c in zip(geometry.gain[3:], fit.coefficients[2:4], strict=True)]
+        lit = max(abs(a - b) for a, b in zip(before, (*geometry.gain[:3], *across), strict=True))
+        if lit < SHADING_DONE:
+            break
+        geometry = Geometry(geometry.line, (*geometry.gain[:3], across[0], across[1]), half)
+    made = {"order": geometry.line.order, "width_index": smooth.width_index(fit.width_px), "even": fit.even, "odd": fit.odd}
+    information = max(float(moved.shifts.weight.sum()), 1e-300)
+    roughness = float(np.sqrt(max((moved.row_chi2 - 1) * len(samples.y_px) / information, 0.0)))
+    return Estimate(geometry, fit, noise, binned, distance, roughness, float(1 / np.sqrt(information)), made)
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Where the edge is, its width and its rough ESF."""
+
+    geometry: Geometry
+    width_px: float
+    fit: EsfFit
+    shifts: RowShifts
+    row_chi2: float
+
+
+def locate(
+    samples: Samples, geometry: Geometry, width: float, sides: SideNoise, *, scale: float, floor: float, order: int | None
+) -> Located:
+    """Refine the line on the samples near it: ESF and line in turns until both rest."""
+    core = core_of(samples, geometry.line, width)
+    anchor = geometry.line.coefficients[0]
+    fit: EsfFit | None = None
+    for turn in range(MOVES):
+        width = smooth.width_of(smooth.width_index(width))
+        if turn and abs(geometry.line.coefficients[0] - anchor) > 1.0 + 0.5 * width:
+            core, anchor = core_of(samples, geometry.line, width), geometry.line.coefficients[0]
+        x, slope, bend = geometry.line.at_rows(samples)
+        distance = normal_distance(core.x_px - x[:, None], slope, bend, geometry.line)
+        row, column = along_edge(samples, geometry.line)
+        values = core.values / gain_at(geometry, row + column[core.column], distance)
+        binned = gather(values, distance, width) if core.whole else gather(values[core.inside], distance[core.inside], width)
+        level = _level(binned, fit)
+        variance = sides.dark + (sides.bright - sides.dark) * np.clip(level, 0, 1)
+        variance = variance + binned.number * _common_error(sides, floor, scale, full=False)
+        fit = fit_esf(binned, variance, shading=None, scale=scale, full=False)
+        cosine = geometry.line.sign / np.sqrt(1 + slope**2)
+        shifts = row_shifts(core, values, distance, cosine, fit, sides)
+        line, row_chi2 = update_line(geometry.line, samples, shifts, order=order)
         center, wide = center_and_width(fit)
         line = _shifted(line, center)
         moved = _moved(geometry.line, line)
-        gain = (*geometry.gain[:3], *(_within(g + c) for g, c in zip(geometry.gain[3:], fit.coefficients[2:4], strict=True)))
-        geometry = Geometry(line, gain, half)
+        geometry = Geometry(line, geometry.gain, geometry.half_px)
         old, width = width, wide
         enough = 2e-4 + 0.1 / np.sqrt(max(float(shifts.weight.sum()), 1e-9))
-        lit = max(abs(a - b) for a, b in zip(before, geometry.gain, strict=True))
-        if turn > 0 and moved < enough and abs(width / old - 1) < 0.03 and lit < SHADING_DONE:
+        if moved < enough and abs(width / old - 1) < 0.03:
             break
-    if "width_index" in chosen:
-        width = smooth.width_of(int(chosen["width_index"]))
+    return Located(geometry, width, fit, shifts, row_chi2)
+
+
+def _whole(
+    samples: Samples, geometry: Geometry, width: float, rough: EsfFit, *, floor: float, chosen: dict[str, Any]
+) -> tuple[EsfFit, NoiseLevel, Binned, Float]:
+    """The ESF from all samples."""
     width = smooth.width_of(smooth.width_index(width))
     distance = distances(samples, geometry.line)
-    fit, noise, binned = _esf(samples, geometry, distance, width, state=state, chosen=chosen)
-    made = {
-        "order": geometry.line.order,
-        "width_index": smooth.width_index(fit.width_px),
-        "even": fit.even,
-        "odd": fit.odd,
-    }
-    excess = (row_chi2 - 1) * len(shifts.weight) / max(float(shifts.weight.sum()), 1e-300)
-    roughness = float(np.sqrt(max(excess, 0.0)))
-    edge_sigma = float(1 / np.sqrt(max(float(shifts.weight.sum()), 1e-300)))
-    return Estimate(geometry, fit, noise, binned, roughness, edge_sigma, made)
+    binned = gather(samples.values / gain_of(samples, geometry, distance), distance, width)
+    noise = noise_level(binned, floor=max(floor, (1e-5 * rough.step) ** 2))
+    level = _level(binned, rough)
+    variance = noise.at(level) + binned.number * _common_error(noise, floor, rough.step, full=True)
+    place = binned.distance * (width / geometry.half_px)
+    light = rough.dark + rough.step * level
+    shading = np.column_stack([light * place, light * place**2])
+    fit = fit_esf(binned, variance, shading=shading, scale=rough.step, choices=chosen, full=True)
+    return fit, noise, binned, distance
 
 
 def _shifted(line: EdgeLine, normal_px: float) -> EdgeLine:
     """The line moved along its normal, so that the ESF passes its middle at 0."""
-    _, slope, _ = line.position(np.array([line.y_center_px]))
     c = line.coefficients.copy()
-    c[0] += normal_px * line.sign * np.sqrt(1 + float(slope[0]) ** 2)
+    c[0] += normal_px * line.sign * float(np.hypot(1, line.middle()[1]))
     return line.with_coefficients(c)
-
-
-def _within(gain: float) -> float:
-    return float(np.clip(gain, -0.8, 0.8))
 
 
 def _moved(old: EdgeLine, new: EdgeLine) -> float:
@@ -139,29 +180,7 @@ def _moved(old: EdgeLine, new: EdgeLine) -> float:
     return float(np.abs(a - b).max())
 
 
-def _esf(
-    samples: Samples,
-    geometry: Geometry,
-    distance: Float,
-    width: float,
-    *,
-    state: _State,
-    chosen: dict[str, Any] | None,
-) -> tuple[EsfFit, NoiseLevel, Binned]:
-    """Gather the samples and fit the ESF; ``chosen`` None: while the line is still moving."""
-    binned = gather(samples.values / gain_of(samples, geometry, distance), distance, width)
-    noise = noise_level(binned, floor=max(state.floor, (1e-5 * state.step) ** 2))
-    level = _level(binned, state.fit)
-    moving = chosen is None
-    variance = noise.at(level) + binned.number * _common_error(noise, state.floor, state.step, full=not moving)
-    place = binned.distance * (width / geometry.half_px)
-    light = state.dark + state.step * level
-    shading = np.column_stack([light * place, light * place**2])
-    fit = fit_esf(binned, variance, shading=shading, scale=state.step, choices=chosen, full=not moving)
-    return fit, noise, binned
-
-
-def _common_error(noise: NoiseLevel, floor: float, scale: float, *, full: bool) -> float:
+def _common_error(noise: NoiseLevel | SideNoise, floor: float, scale: float, *, full: bool) -> float:
     """Variance of a cell's mean that more samples do not lower, DN^2.
 
     Rounding errors of samples at one phase are equal unless noise dithers them (their correlation falls

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +33,27 @@ class EdgeLine:
         """Polynomial order."""
         return len(self.coefficients) - 1
 
-    def legendre(self, y_px: Float) -> Float:
-        """Legendre polynomials 0..5 at rows ``y_px`` (clipped to the seen range), (6, rows)."""
-        return legendre6(np.clip((y_px - self.y_center_px) / self.y_half_px, -1.0, 1.0))
+    def legendre(self, samples: Samples) -> Float:
+        """Legendre polynomials 0..5 at the rows of ``samples`` (clipped to the seen range), (6, rows)."""
+        return self._stacks(samples)[0]
+
+    def _stacks(self, samples: Samples) -> tuple[Float, Float, Float, Float]:
+        first = round((float(samples.y_px[0]) - self.y_center_px) / self.y_half_px, 12)
+        return row_polynomials(first, samples.row_step_px / self.y_half_px, len(samples.y_px))
+
+    def at_rows(self, samples: Samples) -> tuple[Float, Float, Float]:
+        """x, dx/dy and d2x/dy2 of the edge at the rows of ``samples``."""
+        value, slope, bend, outside = self._stacks(samples)
+        n = len(self.coefficients)
+        c = self.coefficients
+        rise = c @ slope[:n]
+        x = c @ value[:n] + outside * rise
+        if n < 3:
+            return x, rise / self.y_half_px, np.zeros_like(x)
+        return x, rise / self.y_half_px, np.where(outside == 0, c @ bend[:n], 0.0) / self.y_half_px**2
 
     def position(self, y_px: Float) -> tuple[Float, Float, Float]:
-        """x, dx/dy and d2x/dy2 of the edge at rows ``y_px``."""
+        """x, dx/dy and d2x/dy2 of the edge at any rows ``y_px``."""
         t = (y_px - self.y_center_px) / self.y_half_px
         inside = np.clip(t, -1.0, 1.0)
         n = len(self.coefficients)
@@ -45,12 +61,28 @@ class EdgeLine:
         slope = self.coefficients @ _legendre6_slope(inside)[:n] / self.y_half_px
         bend = self.coefficients @ _legendre6_bend(inside)[:n] / self.y_half_px**2
         outside = t - inside
-        bend = np.where(outside == 0, bend, 0.0)
-        return value + outside * slope * self.y_half_px, slope, bend
+        return value + outside * slope * self.y_half_px, slope, np.where(outside == 0, bend, 0.0)
+
+    def middle(self) -> tuple[float, float]:
+        """x and dx/dy at the middle row."""
+        c = np.zeros(6)
+        c[: len(self.coefficients)] = self.coefficients
+        return float(c[0] - c[2] / 2 + 0.375 * c[4]), float(c[1] - 1.5 * c[3] + 1.875 * c[5]) / self.y_half_px
 
     def with_coefficients(self, coefficients: Float) -> EdgeLine:
         """The same frame with other coefficients."""
         return EdgeLine(coefficients, self.y_center_px, self.y_half_px, self.sign)
+
+
+@lru_cache(maxsize=128)
+def row_polynomials(first: float, step: float, n: int) -> tuple[Float, Float, Float, Float]:
+    """P_0 to P_5, slopes and bends (6, n each) at t = first + step * (0 .. n - 1) clipped to -1..1, and how far t is outside."""
+    t = first + step * np.arange(n)
+    inside = np.clip(t, -1.0, 1.0)
+    out = (legendre6(inside), _legendre6_slope(inside), _legendre6_bend(inside), t - inside)
+    for part in out:
+        part.flags.writeable = False
+    return out
 
 
 def legendre6(t: Float) -> Float:
@@ -141,33 +173,45 @@ def _robust_line(x: Float, y: Float, sign: float, step_px: float) -> tuple[EdgeL
     p = legendre6((y - center) / half)
     best, scatter = _tukey(p[:2], x, step_px)
     for order in (2, 3, 5):
-        if len(x) < 4 * order:
+        if len(x) < 4 * order or scatter < 0.6 * step_px:
             break
         trial, spread = _tukey(p[: order + 1], x, step_px)
-        if spread < 0.7 * scatter and scatter > 0.6 * step_px:
+        if spread < 0.7 * scatter:
             best, scatter = trial, spread
     return EdgeLine(best, float(center), float(half), sign), scatter
 
 
 def _tukey(p: Float, x: Float, step_px: float) -> tuple[Float, float]:
-    w = np.ones_like(x)
+    """Iteratively reweighted fit: least absolute deviations first, then Tukey's biweight."""
+    n = len(p)
+    matrix = p @ p.T
+    c = np.linalg.solve(matrix + 1e-9 * np.eye(n), p @ x)
     scale = 0.0
-    c = np.zeros(len(p))
     for turn in range(8):
-        pw = p * w
-        c = np.linalg.solve(pw @ p.T + 1e-9 * np.eye(len(p)), pw @ x)
         r = np.abs(x - c @ p)
-        new = 1.4826 * float(np.median(r)) + 0.05 * step_px
-        if turn > 2 and abs(new - scale) < 0.02 * scale:
+        new = 1.4826 * _median(r) + 0.05 * step_px
+        if turn > 2 and abs(new - scale) < 0.03 * scale:
             break
         scale = new
-        w = np.where(r < 6 * scale, (1 - (r / (6 * scale)) ** 2) ** 2, 0.0) if turn > 0 else 1 / np.maximum(r, scale / 2)
+        if turn < 2:
+            w = 1 / np.maximum(r, scale / 2)
+        else:
+            part = np.minimum(r * (1 / (6 * scale)), 1.0)
+            w = (1 - part * part) ** 2
+        pw = p * w
+        c = np.linalg.solve(pw @ p.T + 1e-9 * np.eye(n), pw @ x)
     return c, scale
+
+
+def _median(values: Float) -> float:
+    """Upper median."""
+    k = values.size // 2
+    return float(np.partition(values, k)[k])
 
 
 def pixel_noise(values: Float) -> float:
     """Standard deviation of a sample from the differences of neighbours; edges and outliers do not count."""
-    return 1.4826 * float(np.median(np.abs(np.diff(values[::2], axis=1)))) / np.sqrt(2)
+    return 1.4826 * _median(np.abs(values[::3, 1:] - values[::3, :-1]).ravel()) / float(np.sqrt(2))
 
 
 @dataclass(frozen=True)

@@ -38,51 +38,83 @@ class Geometry:
 
 def along_edge(samples: Samples, line: EdgeLine) -> tuple[Float, Float]:
     """Coordinate along the edge as a row term (rows, 1) and a column term (n,) to be added, px."""
-    x, slope, _ = line.position(np.array([line.y_center_px]))
-    cosine = 1 / np.sqrt(1 + float(slope[0]) ** 2)
-    row = (samples.y_px - line.y_center_px + float(slope[0]) * (samples.x0_px - float(x[0]))) * cosine
-    column = samples.step_px * np.arange(samples.values.shape[1]) * (float(slope[0]) * cosine)
+    x, slope = line.middle()
+    cosine = 1 / float(np.hypot(1, slope))
+    row = (samples.y_px - line.y_center_px + slope * (samples.x0_px - x)) * cosine
+    column = np.arange(samples.values.shape[1]) * (samples.step_px * slope * cosine)
     return row[:, None], column
 
 
 def gain_of(samples: Samples, geometry: Geometry, distance_px: Float) -> Float:
     """Illumination at every sample, (rows, n)."""
     row, column = along_edge(samples, geometry.line)
-    return _gain(geometry, row + column, distance_px)
+    return gain_at(geometry, row + column, distance_px)
 
 
-def _gain(geometry: Geometry, along_px: Float, distance_px: Float) -> Float:
+def gain_at(geometry: Geometry, along_px: Float, distance_px: Float) -> Float:
     a, b, c, d, e = (g / geometry.half_px**k for g, k in zip(geometry.gain, (1, 2, 2, 1, 2), strict=True))
-    return np.asarray(1 + along_px * (a + b * along_px + c * distance_px) + distance_px * (d + e * distance_px))
+    out = along_px * b
+    out += c * distance_px
+    out += a
+    out *= along_px
+    rest = distance_px * e
+    rest += d
+    rest *= distance_px
+    out += rest
+    out += 1.0
+    return np.asarray(out)
 
 
-def fit_along(samples: Samples, geometry: Geometry, distance_px: Float, width_px: float) -> Geometry:
+def thinned(samples: Samples, most: int) -> Samples:
+    """Every k-th row, so that about ``most`` samples are left."""
+    k = max(1, samples.values.size // most)
+    k += k % 2 == 0  # an odd number keeps both parities of a quincunx
+    return samples if k == 1 else samples.every(k)
+
+
+@dataclass(frozen=True)
+class SideNoise:
+    """Variance of a sample on the dark and on the bright side, DN^2."""
+
+    dark: float
+    bright: float
+
+
+def fit_along(samples: Samples, geometry: Geometry, width_px: float) -> tuple[Geometry, SideNoise]:
     """Illumination along the edge (g0, g1, g2), from how the values change along it at equal distance.
 
     Regressing the deviations from the mean at each distance leaves the ESF out altogether; one Gauss-Newton
-    step from the present gain.
+    step from the present gain.  The residuals give the noise of both sides.
     """
+    distance = distances(samples, geometry.line).ravel()
     row, column = along_edge(samples, geometry.line)
-    along = row + column
-    gain = _gain(geometry, along, distance_px).ravel()
-    place, across = along.ravel() / geometry.half_px, distance_px.ravel() / geometry.half_px
-    cell = np.rint(distance_px.ravel() * (1 / max(0.5 * width_px, 1.0))).astype(np.intp)
-    cell -= cell.min()
+    far = np.flatnonzero(np.abs(distance) > 2.5 * width_px)
+    along, distance, value = (row + column).ravel()[far], distance[far], samples.values.ravel()[far]
+    if len(far) < 50:
+        return geometry, SideNoise(1.0, 1.0)
+    gain = gain_at(geometry, along, distance)
+    place, across = along * (1 / geometry.half_px), distance * (1 / geometry.half_px)
+    cell = (distance * (1 / max(width_px, 2.0)) + 4096.5).astype(np.intp)
+    cell -= int(cell.min())
     number = np.maximum(np.bincount(cell), 1)
-    esf = (np.bincount(cell, samples.values.ravel() / gain) / number)[cell]
-    far = np.abs(distance_px.ravel()) > 2.5 * width_px
-    weighted = esf * far
-    columns = []
-    for raw in (place, place * place, place * across):
-        columns.append(weighted * (raw - (np.bincount(cell, raw) / number)[cell]))
-    design = np.stack(columns)
-    rest = samples.values.ravel() - esf * gain
+    esf = (np.bincount(cell, value / gain) / number)[cell]
+    design = np.empty((3, len(far)))
+    for k, raw in enumerate((place, place * place, place * across)):
+        design[k] = raw - (np.bincount(cell, raw) / number)[cell]
+    design *= esf
+    rest = value - esf * gain
     matrix = design @ design.T
     matrix[np.diag_indices(3)] += 1e-9 * np.trace(matrix) + 1e-300
     step = np.linalg.solve(matrix, design @ rest)
+    rest -= step @ design
+    rest *= rest
+    bright = distance > 0
+    both, count = float(rest.sum()), int(bright.sum())
+    high = float(np.sum(rest, where=bright))
+    noise = SideNoise((both - high) / max(len(far) - count, 1), high / max(count, 1))
     limits = (0.9, 0.5, 0.5)
-    new = [float(np.clip(g + s, -m, m)) for g, s, m in zip(geometry.gain, step, limits, strict=False)]
-    return Geometry(geometry.line, (new[0], new[1], new[2], geometry.gain[3], geometry.gain[4]), geometry.half_px)
+    new = [min(max(g + float(s), -m), m) for g, s, m in zip(geometry.gain, step, limits, strict=False)]
+    return Geometry(geometry.line, (new[0], new[1], new[2], geometry.gain[3], geometry.gain[4]), geometry.half_px), noise
 
 
 @lru_cache(maxsize=8)
@@ -102,18 +134,50 @@ def _table() -> tuple[Float, Float]:
 
 def distances(samples: Samples, line: EdgeLine) -> Float:
     """Signed distance along the normal of every sample, positive on the bright side, (rows, n)."""
-    x, slope, bend = line.position(samples.y_px)
-    cosine = line.sign / np.sqrt(1 + slope**2)
+    x, slope, bend = line.at_rows(samples)
     across = samples.step_px * np.arange(samples.values.shape[1]) + (samples.x0_px - x)[:, None]
+    return normal_distance(across, slope, bend, line)
+
+
+def normal_distance(across: Float, slope: Float, bend: Float, line: EdgeLine) -> Float:
+    """Distance along the normal for a distance along the row."""
+    cosine = line.sign / np.sqrt(1 + slope**2)
     if line.order < 2:
-        return np.asarray(across * cosine[:, None])
+        across *= cosine[:, None]
+        return across
     curve = -0.5 * bend * cosine * (slope * cosine**2) ** 2
     return np.asarray(across * (cosine[:, None] + curve[:, None] * across))
 
 
+@dataclass(frozen=True, eq=False)
+class Core:
+    """Samples near the edge: columns (rows, k), their values and column coordinates, and which of them exist."""
+
+    column: NDArray[np.intp]
+    values: Float
+    x_px: Float
+    inside: NDArray[np.bool_]
+    whole: bool
+
+
+def core_of(samples: Samples, line: EdgeLine, width_px: float) -> Core:
+    """Samples within about 4 widths of the line."""
+    x, slope, _ = line.at_rows(samples)
+    step = samples.step_px
+    n = samples.values.shape[1]
+    half = int(min(max(4.0 * width_px * float(np.sqrt(1 + (slope * slope).max())) / step + 2, 3), 60))
+    column = np.rint((x - samples.x0_px) * (1 / step)).astype(np.intp)[:, None] + np.arange(-half, half + 1)
+    inside = (column >= 0) & (column < n)
+    whole = bool(inside.all())
+    if not whole:
+        column = np.clip(column, 0, n - 1)
+    values = samples.values[np.arange(len(x))[:, None], column]
+    return Core(column, values, samples.x0_px[:, None] + step * column, inside, whole)
+
+
 def gather(values: Float, distance_px: Float, width_px: float) -> Binned:
     """Samples gathered in the cells of the basis."""
-    reach = int(np.abs(distance_px).max() / (LUT_STEP * width_px)) + 2
+    reach = int(max(distance_px.max(), -distance_px.min()) / (LUT_STEP * width_px)) + 2
     rounded = 1 << (reach - 1).bit_length()
     place = (distance_px * (1 / (LUT_STEP * width_px)) + (rounded + 0.0)).astype(np.int32).ravel()
     cell = _lut(rounded)[place]
@@ -166,58 +230,60 @@ class RowShifts:
     weight: Float
 
 
-def row_shifts(samples: Samples, geometry: Geometry, fit: EsfFit, noise: NoiseLevel) -> RowShifts:
-    """Maximum-likelihood shift of every row, given the ESF."""
-    line, step = geometry.line, samples.step_px
-    x, slope, _ = line.position(samples.y_px)
-    cosine = line.sign / np.sqrt(1 + slope**2)
-    n = samples.values.shape[1]
-    half = int(min(max(3.0 * fit.width_px * np.sqrt(1 + float(np.max(slope**2))) / step + 1, 2), 40))
-    column = np.rint((x - samples.x0_px) / step).astype(np.intp)[:, None] + np.arange(-half, half + 1)
-    inside = (column >= 0) & (column < n)
-    column = np.clip(column, 0, n - 1)
-    near = (samples.x0_px[:, None] + step * column - x[:, None]) * cosine[:, None]
-    row, along = along_edge(samples, line)
-    value = np.take_along_axis(samples.values, column, axis=1) / _gain(geometry, row + along[column], near)
-    z = near / fit.width_px
-    place = np.clip((z + TABLE_REACH) / TABLE_STEP, 0, 2 * TABLE_REACH / TABLE_STEP - 1)
+def row_shifts(core: Core, values: Float, distance_px: Float, cosine: Float, fit: EsfFit, noise: SideNoise) -> RowShifts:
+    """Maximum-likelihood shift of every row, given the ESF.
+
+    Parameters
+    ----------
+    core : Core
+    values, distance_px : (rows, k)
+        Of the core's samples, illumination removed.
+    cosine : (rows,)
+        Cosine of the edge's slope with the line's sign.
+    """
+    place = distance_px * (1 / (fit.width_px * TABLE_STEP)) + TABLE_REACH / TABLE_STEP
+    np.clip(place, 0, 2 * TABLE_REACH / TABLE_STEP - 1, out=place)
     low = place.astype(np.intp)
-    part = place - low
+    place -= low
     esf, lsf = esf_table(fit)
-    expected = esf[low] * (1 - part) + esf[low + 1] * part
-    gradient = -(lsf[low] * (1 - part) + lsf[low + 1] * part) * cosine[:, None]
-    weight = inside / noise.at((expected - fit.dark) / fit.step)
-    information = np.sum(weight * gradient**2, axis=1)
-    shift = np.sum(weight * gradient * (value - expected), axis=1) / np.maximum(information, 1e-300)
-    # a row without the whole edge says little and may say it wrongly
-    seen = (x - samples.x0_px > -step) & (x - samples.x0_px < step * n)
-    return RowShifts(np.clip(shift, -3 * fit.width_px, 3 * fit.width_px), np.where(seen, information, 0.0))
+    expected = esf[low]
+    expected += place * np.diff(esf, append=esf[-1])[low]
+    gradient = lsf[low]
+    level = np.clip((expected - fit.dark) * (1 / fit.step), 0.0, 1.0)
+    weight = gradient / (noise.dark + (noise.bright - noise.dark) * level)
+    if not core.whole:
+        weight *= core.inside
+    information = (weight * gradient).sum(axis=1) * cosine**2
+    shift = -(weight * (values - expected)).sum(axis=1) * cosine / np.maximum(information, 1e-300)
+    information = np.where(core.inside[:, core.inside.shape[1] // 2], information, 0.0)
+    return RowShifts(np.clip(shift, -3 * fit.width_px, 3 * fit.width_px), information)
 
 
-def update_line(line: EdgeLine, y_px: Float, shifts: RowShifts, *, order: int | None) -> tuple[EdgeLine, float]:
+def update_line(line: EdgeLine, samples: Samples, shifts: RowShifts, *, order: int | None) -> tuple[EdgeLine, float]:
     """Gauss-Newton step of the polynomial; order by the Bayesian information criterion when None.
 
     Returns the line and the reduced chi-squared of the rows about it.
     """
     used = shifts.weight > 1e-6 * shifts.weight.max()
-    p = line.legendre(y_px[used])
-    w = shifts.weight[used]
-    old = np.zeros(MAX_ORDER + 1)
-    old[: len(line.coefficients)] = line.coefficients
-    target = shifts.shift_px[used] + old @ p
-    n = int(used.sum())
-    orders = range(1, MAX_ORDER + 1) if order is None else (order,)
+    p, w, shift = line.legendre(samples), shifts.weight, shifts.shift_px
+    if not used.all():
+        p, w, shift = p[:, used], w[used], shift[used]
+    old = len(line.coefficients)
+    target = shift + line.coefficients @ p[:old]
+    n = len(w)
+    pw = p * w
+    gram, moment = pw @ p.T, pw @ target
+    floor = ROW_FLOOR_PX**2 * float(w.sum())
     best: tuple[float, Float, float] | None = None
-    for k in orders:
+    for k in range(1, MAX_ORDER + 1) if order is None else (order,):
         if n < 3 * k + 3:
             break
-        pw = p[: k + 1] * w
-        c = np.linalg.solve(pw @ p[: k + 1].T, pw @ target)
-        chi2 = float(w @ (target - c @ p[: k + 1]) ** 2)
-        floor = ROW_FLOOR_PX**2 * float(w.sum())
-        score = n * np.log((chi2 + floor) / n) + (k + 1) * np.log(n) * 1.5
+        c = np.linalg.solve(gram[: k + 1, : k + 1], moment[: k + 1])
+        rest = target - c @ p[: k + 1]
+        chi2 = float(w @ (rest * rest))
+        score = n * float(np.log((chi2 + floor) / n)) + (k + 1) * float(np.log(n)) * 1.5
         if best is None or score < best[0] - 2:
-            best = (float(score), c, chi2 / max(n - k - 1, 1))
+            best = (score, c, chi2 / max(n - k - 1, 1))
     if best is None:
         return line, float("nan")
     return line.with_coefficients(best[1]), best[2]

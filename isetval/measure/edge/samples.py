@@ -56,6 +56,19 @@ class Samples:
         """Column coordinate of every sample, (rows, n)."""
         return np.asarray(self.x0_px[:, None] + self.step_px * np.arange(self.values.shape[1]))
 
+    def every(self, k: int) -> Samples:
+        """Every ``k``-th row."""
+        return Samples(
+            self.values[::k],
+            self.x0_px[::k],
+            self.y_px[::k],
+            self.step_px,
+            self.row_step_px * k,
+            self.transposed,
+            self.clipped_high[::k],
+            self.clipped_low[::k],
+        )
+
     def flipped(self) -> Samples:
         """The same samples with rows and columns exchanged; needs a rectangular grid."""
         if len(self.x0_px) > 1 and np.ptp(self.x0_px) > 0:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import lru_cache
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from isetval.measure.edge import basis
 from isetval.measure.edge.prior import shape_prior
@@ -17,7 +19,9 @@ Complex = NDArray[np.complex128]
 
 EVEN_GRID = (0.0005, 0.002, 0.008, 0.03, 0.12, 0.5)
 ODD_GRID = (0.0, 0.002, 0.008, 0.03, 0.12)
+MOVING = (0.004, 0.002)
 FREE = 4
+FREE_VARIANCE = np.array([1e4, 1e4, 0.6, 0.25]) ** 2
 WIDTH_STEP = 0.02
 
 
@@ -88,21 +92,33 @@ class EsfFit:
     """Posterior of the ESF.
 
     ``coefficients`` of: constant, mean shape (its factor is the step), shading across the edge, its
-    square, then the modes.  ``root`` is a square root of their covariance (columns), ``sampling`` of
-    the part that the pixel noise alone makes.
+    square, then the modes, in DN (shading: relative).  Their covariance is R (L L')^-1 R with ``lower`` = L
+    and ``mode_root`` = R; ``gram`` the normal equations without the prior, in units ``unit``.
     """
 
     coefficients: Float
-    covariance: Float
+    lower: Float
+    mode_root: Float
     gram: Float
+    unit: Float
     width_px: float
     even: float
     odd: float
-    weights: dict[str, Any]
     chi2: float
     cells: int
     evidence: float
-    design: Float = field(repr=False)
+
+    @cached_property
+    def covariance(self) -> Float:
+        """Posterior covariance of the coefficients."""
+        inverse = solve_lower(self.lower, np.diag(self.mode_root))
+        return np.asarray(inverse.T @ inverse)
+
+    @cached_property
+    def sampling_covariance(self) -> Float:
+        """Covariance that the pixel noise alone gives the coefficients at fixed amplitudes."""
+        part = self.covariance / self.unit
+        return np.asarray(part @ self.gram @ part.T)
 
     @property
     def step(self) -> float:
@@ -131,7 +147,7 @@ def relative_level(binned: Binned, fit: EsfFit) -> Float:
 
 
 def fit_esf(
-    binned: Binned, variance: Float, *, shading: Float, scale: float, choices: dict[str, Any] | None = None, full: bool = True
+    binned: Binned, variance: Float, *, shading: Float | None, scale: float, choices: Mapping[str, Any] | None = None, full: bool = True
 ) -> EsfFit:
     """Fit the ESF to binned samples.
 
@@ -140,8 +156,8 @@ def fit_esf(
     binned : Binned
     variance : (cells,)
         Noise variance of one sample in each cell, DN^2.
-    shading : (cells, 2)
-        Columns of the shading across the edge.
+    shading : (cells, 2) or None
+        Columns of the shading across the edge, DN.
     scale : float
         Approximate step, DN: the modes' unit.
     choices : mapping or None
@@ -151,79 +167,102 @@ def fit_esf(
     """
     prior = shape_prior()
     mean, slope = _modes()
-    delta = (binned.distance - basis.bins().center[binned.cell])[:, None]
-    columns = mean[binned.cell] + delta * slope[binned.cell]
-    design = np.concatenate([columns[:, :2], shading, columns[:, 2:] * scale], axis=1)
-    weight = binned.number / variance
-    root = np.sqrt(weight)[:, None]
-    weighted = design * root
-    data = binned.mean * root[:, 0]
+    cell = binned.cell
+    columns = slope[cell]
+    columns *= (binned.distance - basis.bins().center[cell])[:, None]
+    columns += mean[cell]
+    design = np.empty((len(cell), columns.shape[1] + 2))
+    design[:, :2] = columns[:, :2]
+    design[:, 2:4] = 0.0 if shading is None else shading / scale
+    design[:, 4:] = columns[:, 2:]
+    root = np.sqrt(binned.number / variance) * scale
+    weighted = design * root[:, None]
+    data = binned.mean * (root / scale)
     gram = weighted.T @ weighted
-    moment = weighted.T @ data
-    total = float(data @ data)
-    free = np.array([1e4 * scale, 1e4 * scale, 0.6, 0.25]) ** 2
-    solve = _Solver(gram, moment, total, free)
-
-    if choices is not None and "even" in choices:
-        even, odd = float(choices["even"]), float(choices["odd"])
-        tried = {(even, odd): solve(prior.variance(even, odd))}
-    elif not full:
-        even, odd = 0.004, 0.002
-        tried = {(even, odd): solve(prior.variance(even, odd))}
-    else:
-        tried = {}
-        odd = 0.002
-        for even in EVEN_GRID:
-            tried[even, odd] = solve(prior.variance(even, odd))
-        even = max(tried, key=lambda key: tried[key][0])[0]
-        for odd in ODD_GRID:
-            if (even, odd) not in tried:
-                tried[even, odd] = solve(prior.variance(even, odd))
-        even, odd = max(tried, key=lambda key: tried[key][0])
-    evidence, coefficients, lower, variance_modes = tried[even, odd]
-    covariance = solve.covariance(lower, variance_modes)
+    solve = _Solver(gram, weighted.T @ data, float(data @ data))
+    best, tried = _strongest(solve, choices, full=full)
+    evidence, lower, half, mode_root = tried[best]
+    coefficients = mode_root * solve_lower(lower, half, transposed=True)
     residual = data - weighted @ coefficients
-    out = coefficients.copy()
-    out[FREE:] *= scale
-    unit = np.ones(len(out))
-    unit[FREE:] = scale
+    coefficients *= scale
+    coefficients[2:4] /= scale
+    unit = np.full(len(coefficients), scale)
+    unit[2:4] = 1.0
     return EsfFit(
-        coefficients=out,
-        covariance=covariance * np.outer(unit, unit),
-        gram=gram / np.outer(unit, unit),
+        coefficients=coefficients,
+        lower=lower,
+        mode_root=mode_root * unit,
+        gram=gram,
+        unit=unit,
         width_px=binned.width_px,
-        even=even,
-        odd=odd,
-        weights={f"{k[0]:g}/{k[1]:g}": v[0] for k, v in tried.items()},
+        even=best[0],
+        odd=best[1],
         chi2=float(residual @ residual),
-        cells=len(binned.cell),
+        cells=len(cell),
         evidence=evidence,
-        design=design / unit,
     )
 
 
+Key = tuple[float, float]
+Trial = tuple[float, Float, Float, Float]
+
+
+def _strongest(solve: _Solver, choices: Mapping[str, Any] | None, *, full: bool) -> tuple[Key, dict[Key, Trial]]:
+    """Amplitudes of largest marginal likelihood: uphill along the even ones, then along the odd ones."""
+    prior = shape_prior()
+    tried: dict[Key, Trial] = {}
+
+    def score(even: float, odd: float) -> float:
+        if (even, odd) not in tried:
+            tried[even, odd] = solve(prior.variance(even, odd))
+        return tried[even, odd][0]
+
+    if choices is not None and "even" in choices:
+        key = (float(choices["even"]), float(choices["odd"]))
+        score(*key)
+        return key, tried
+    if not full:
+        score(*MOVING)
+        return MOVING, tried
+    even = _climb(EVEN_GRID, 1, lambda value: score(value, ODD_GRID[1]))
+    odd = _climb(ODD_GRID, 1, lambda value: score(even, value))
+    return (even, odd), tried
+
+
+def _climb(grid: tuple[float, ...], start: int, score: Callable[[float], float]) -> float:
+    """Walk uphill from ``start``, looking two steps ahead."""
+    best = start
+    for direction in (1, -1):
+        place, misses = start, 0
+        while 0 <= place + direction < len(grid) and misses < 2:
+            place += direction
+            if score(grid[place]) > score(grid[best]):
+                best, misses = place, 0
+            else:
+                misses += 1
+    return grid[best]
+
+
+def solve_lower(lower: Float, right: Float, *, transposed: bool = False) -> Float:
+    """Solve L x = b, or L' x = b."""
+    out, _ = lapack.dtrtrs(lower, right, lower=1, trans=int(transposed))
+    return np.asarray(out)
+
+
 class _Solver:
-    """Posterior for one prior after another on the same normal equations."""
+    """Posterior for one prior after another on the same normal equations, in units of the step."""
 
-    def __init__(self, gram: Float, moment: Float, total: float, free: Float) -> None:
-        self.gram, self.moment, self.total, self.free = gram, moment, total, free
+    def __init__(self, gram: Float, moment: Float, total: float) -> None:
+        self.gram, self.moment, self.total = gram, moment, total
 
-    def __call__(self, variance: Float) -> tuple[float, Float, Float, Float]:
-        from scipy.linalg import solve_triangular
-
-        root = np.sqrt(np.concatenate([self.free, variance]))
-        matrix = self.gram * root[:, None] * root
-        matrix[np.diag_indices_from(matrix)] += 1.0
-        lower = np.linalg.cholesky(matrix)
-        half = solve_triangular(lower, self.moment * root, lower=True, check_finite=False)
-        coefficients = root * solve_triangular(lower, half, lower=True, trans=1, check_finite=False)
+    def __call__(self, variance: Float) -> Trial:
+        root = np.sqrt(np.concatenate([FREE_VARIANCE, variance]))
+        matrix = self.gram * root
+        matrix *= root[:, None]
+        matrix.ravel()[:: len(root) + 1] += 1.0
+        lower, info = lapack.dpotrf(matrix.T, lower=1, clean=1, overwrite_a=1)
+        if info != 0:
+            raise np.linalg.LinAlgError("the normal equations of the ESF are not positive definite")
+        half = solve_lower(lower, self.moment * root)
         evidence = -float(np.log(np.diag(lower)).sum()) - 0.5 * (self.total - float(half @ half))
-        return evidence, coefficients, lower, root
-
-    @staticmethod
-    def covariance(lower: Float, root: Float) -> Float:
-        """Posterior covariance of the coefficients."""
-        from scipy.linalg import solve_triangular
-
-        inverse = solve_triangular(lower, np.diag(root), lower=True, check_finite=False)
-        return np.asarray(inverse.T @ inverse)
+        return evidence, lower, half, root

@@ -39,7 +39,7 @@ def mtf_gradient(fit: EsfFit, frequency_cy_px: Float) -> Float:
 def shape_covariance(fit: EsfFit, *, kind: str) -> Float:
     """Covariance of mean shape and modes: ``posterior``, or ``sampling`` (pixel noise through the same weights)."""
     keep = np.concatenate([[1], np.arange(FREE, len(fit.coefficients))])
-    full = fit.covariance if kind == "posterior" else fit.covariance @ fit.gram @ fit.covariance
+    full = fit.covariance if kind == "posterior" else fit.sampling_covariance
     return np.asarray(full[np.ix_(keep, keep)])
 
 

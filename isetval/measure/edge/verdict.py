@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from isetval.measure.edge.estimate import Estimate, first_width
 from isetval.measure.edge.locate import FirstLook, pixel_noise, transitions, two_levels
-from isetval.measure.edge.refine import distances, gain_of
+from isetval.measure.edge.refine import gain_of
 from isetval.measure.edge.samples import Samples
 
 Float = NDArray[np.float64]
@@ -93,7 +93,7 @@ def judge(samples: Samples, look: FirstLook, estimate: Estimate, *, channel: str
     """All codes for a fitted edge."""
     flags: dict[str, str] = {}
     warnings: dict[str, str] = {}
-    distance = distances(samples, estimate.geometry.line)
+    distance = estimate.distance_px
     wrong = misfit(samples, look, estimate)
     if wrong:
         return Verdict({"two_edges": wrong}, {})
