@@ -72,9 +72,9 @@ def build(v: np.ndarray, f_number: float) -> Prescription:
 
 # %%
 def pupil_points() -> np.ndarray:
-    """Half pupil (x >= 0) in units of the stop radius, (2, 13)."""
+    """Half pupil (x >= 0) in units of the stop radius, (2, 25)."""
     points = [(0.0, 0.0)]
-    for rho, n in ((0.45, 3), (0.75, 4), (0.97, 5)):
+    for rho, n in ((0.3, 2), (0.5, 3), (0.66, 4), (0.8, 4), (0.91, 5), (1.0, 6)):
         points += [(rho * np.sin(a), rho * np.cos(a)) for a in np.linspace(0, np.pi, n)]
     return np.array(points).T
 
@@ -107,7 +107,7 @@ def residuals(v: np.ndarray, f_number: float, field_deg: float, wavelengths: tup
     for wavelength in wavelengths:
         hit, direction = trace(p, angles, FOCAL_MM / f_number / 2, wavelength, v[-1])
         if reference is None:
-            reference = hit.mean(axis=2)
+            reference = hit.mean(axis=2) * [[0.0], [1.0]]  # half pupil: x is 0 by symmetry
             ideal = FOCAL_MM * np.tan(angles)
             parts.append((reference[1] - ideal) * 1e3 * 0.06)
             chief = np.degrees(np.arctan2(direction[1, :, 0], -direction[2, :, 0]))
@@ -151,7 +151,8 @@ def report(v: np.ndarray, f_number: float, field_deg: float) -> np.ndarray:
     """Root-mean-square spot radii over the field in um; printed."""
     angles = np.radians(np.linspace(0, field_deg, 9))
     hit, direction = trace(build(v, f_number), angles, FOCAL_MM / f_number / 2, 555.0, v[-1])
-    spots = np.sqrt(((hit - hit.mean(axis=2, keepdims=True)) ** 2).sum(axis=0).mean(axis=1)) * 1e3
+    miss = hit - hit.mean(axis=2, keepdims=True) * [[[0.0]], [[1.0]]]
+    spots = np.sqrt((miss**2).sum(axis=0).mean(axis=1)) * 1e3
     chief = np.degrees(np.arctan2(direction[1, :, 0], -direction[2, :, 0]))
     print(f"F/{f_number:.2f} {field_deg} deg: rms spots um {np.round(spots, 1)}, chief ray {np.round(chief, 0)}")
     return spots
@@ -189,7 +190,7 @@ def prescription_toml(design_file: Path, corner_mm: float = 3.60) -> str:
     clear = clear_apertures(p, angles, f_number)
     lines = [
         'name = "isetval-default"',
-        f'source = "isetval: designed from first principles with its own ray tracer (analyses/default_lens_design.py); F/{f_number}"',
+        f'source = "isetval: from first principles with its own ray tracer (analyses/default_lens_design.py); F/{f_number}"',
         'license = "BSD-3-Clause, as the rest of the project"',
         f"field_deg = {field_deg}",
         f"film_mm = {v[-1] * scale:.5f}  # filter to film in the design, object at infinity",

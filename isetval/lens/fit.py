@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from isetval.core.errors import InputError
 from isetval.lens.pass_region import ConvexRegion, EllipseRegion, PassRegion
 from isetval.lens.polynomials import OUTPUTS, FloatArray, IntArray, OutputPolynomial, RayPolynomials, full_terms
 from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
+from isetval.lens.search import golden
 
 SYMMETRIES = ("rotational", "mirror", "none")
 MAX_HEIGHTS = 120
@@ -286,23 +287,6 @@ def minimum_ellipse(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     center = best_center(k)
     semi_y = axis(k, center)
     return np.array([0.0, center]), np.array([k * semi_y, semi_y])
-
-
-def golden(function: Callable[[float], float], low: float, high: float, steps: int = 40) -> float:
-    """Minimum of a convex function by golden-section search."""
-    ratio = (np.sqrt(5.0) - 1) / 2
-    c, d = high - ratio * (high - low), low + ratio * (high - low)
-    fc, fd = function(c), function(d)
-    for _ in range(steps):
-        if fc < fd:
-            high, d, fd = d, c, fc
-            c = high - ratio * (high - low)
-            fc = function(c)
-        else:
-            low, c, fc = c, d, fd
-            d = low + ratio * (high - low)
-            fd = function(d)
-    return (low + high) / 2
 
 
 def _hull(points: FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +12,9 @@ from isetval.lens.illumination import focal_length_mm
 from isetval.lens.polynomials import FloatArray
 from isetval.lens.psf import spot
 from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.search import least_blur
 
 NEAREST_OBJECT_M = 0.02
-SCAN = 17
 
 
 def spot_radius_mm(
@@ -70,7 +69,7 @@ def film_for_object(
 
     nearest = lens.plane_offset_input_mm - 0.9 * float(lens.table(wavelength_nm).region.plane_distance_mm)
     low, high = max(start - reach, nearest), start + reach
-    found = _minimum(blur, low, high)
+    found = least_blur(blur, low, high)
     if min(found - low, high - found) < 0.01 * reach:
         raise InputError(
             f"lens '{lens.name}': no focus for an object at {object_m} m with the film within {low:.2f} to {high:.2f} mm; "
@@ -89,7 +88,7 @@ def object_for_film(lens: RayTransferLens, film_mm: float, *, r_mm: float = 0.0,
         distance = math.inf if vergence <= 0 else 1 / vergence
         return spot_radius_mm(lens, film_mm=film_mm, object_m=distance, r_mm=r_mm, wavelength_nm=wavelength_nm)
 
-    found = _minimum(blur, 0.0, 1 / NEAREST_OBJECT_M, tolerance=1e-5)
+    found = least_blur(blur, 0.0, 1 / NEAREST_OBJECT_M)
     return math.inf if found < 1e-3 else 1 / found
 
 
@@ -141,13 +140,3 @@ def _check_object(object_m: float) -> None:
     """Refuse object distances that no camera focuses."""
     if not object_m >= NEAREST_OBJECT_M:
         raise InputError(f"object distance {object_m} m; at least {NEAREST_OBJECT_M} m (front vertex to object) is needed")
-
-
-def _minimum(function: Callable[[float], float], low: float, high: float, tolerance: float = 1e-7) -> float:
-    """Position of the smallest value: coarse scan, then bounded Brent."""
-    from scipy.optimize import minimize_scalar
-
-    grid = np.linspace(low, high, SCAN)
-    best = int(np.argmin([function(float(x)) for x in grid]))
-    bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, SCAN - 1)]))
-    return float(minimize_scalar(function, bounds=bounds, method="bounded", options={"xatol": tolerance}).x)

@@ -12,6 +12,7 @@ from isetval.core.errors import InputError
 from isetval.lens.pass_region import PassRegion
 from isetval.lens.polynomials import FloatArray
 from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.search import smooth_curve
 
 AZIMUTHS = 96
 RINGS = 8
@@ -175,9 +176,7 @@ def irradiance_factor(
     reach = float(np.ceil(r.max(initial=0.0) * 10) / 10)
     last = lens.table(wavelength_nm).region.last_position_mm
     heights, factor = _irradiance_curve(lens, film_mm, wavelength_nm, reach if not reach <= last else _finite(last, reach))
-    from scipy.interpolate import PchipInterpolator
-
-    return np.asarray(PchipInterpolator(heights, factor)(r), dtype=np.float64)
+    return smooth_curve(heights, factor, r)
 
 
 def _finite(last: float, reach: float) -> float:
@@ -236,7 +235,7 @@ def focal_length_mm(lens: RayTransferLens, *, wavelength_nm: float | None = None
     Notes
     -----
     Such a ray at height q leaves into the scene with slope -q/f + O(q^3).  The cubic is fitted next to
-    the pupil next to the axis, with a constant that takes up what a fitted polynomial shows at r = 0.
+    the axis, with a constant that takes up what a fitted polynomial shows at r = 0.
     """
     region = lens.table(wavelength_nm).region
     height = np.linspace(0.02, 0.4, 40) * region.radius(np.zeros(1))[0]

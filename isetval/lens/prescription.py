@@ -216,6 +216,11 @@ def _surface(row: Mapping[str, Any], path: str | Path) -> Surface:
     )
 
 
+def _reach(surface: Surface) -> float:
+    """Distance from the axis beyond which a surface is continued by its value there (such rays are blocked anyway)."""
+    return min(1.5 * surface.semi_aperture_mm, 1e3)
+
+
 def _intersect(surface: Surface, height_mm: float, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Points (3, n) where rays meet a surface, and whether they do; Newton steps from the vertex plane."""
     start = point + direction * ((height_mm - point[2]) / direction[2])
@@ -223,10 +228,9 @@ def _intersect(surface: Surface, height_mm: float, point: FloatArray, direction:
         return start, np.ones(start.shape[1], dtype=bool)
     t = np.zeros(start.shape[1])
     error = t
-    limit = min(surface.semi_aperture_mm * 1.5, 1e3)
     for _ in range(NEWTON_STEPS):
         x, y = start[0] + t * direction[0], start[1] + t * direction[1]
-        far = np.maximum(1.0, np.hypot(x, y) / limit)
+        far = np.maximum(1.0, np.hypot(x, y) / _reach(surface))
         x, y = x / far, y / far
         sag, slope = surface.sag(x * x + y * y)
         error = t * direction[2] + sag
@@ -242,8 +246,10 @@ def _refract(surface: Surface, point: FloatArray, direction: FloatArray, ratio: 
     """Directions (3, n) behind a surface by Snell's law in vector form, and whether light gets through."""
     if ratio == 1.0:
         return direction, np.ones(point.shape[1], dtype=bool)
-    _, slope = surface.sag(point[0] ** 2 + point[1] ** 2)
-    normal = np.stack([2 * slope * point[0], 2 * slope * point[1], np.ones_like(slope)])
+    far = np.maximum(1.0, np.hypot(point[0], point[1]) / _reach(surface))
+    x, y = point[0] / far, point[1] / far
+    _, slope = surface.sag(x * x + y * y)
+    normal = np.stack([2 * slope * x, 2 * slope * y, np.ones_like(slope)])
     normal /= np.sqrt((normal**2).sum(axis=0))
     cosine = (normal * direction).sum(axis=0)
     normal, cosine = normal * np.sign(cosine), np.abs(cosine)
