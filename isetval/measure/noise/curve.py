@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 # chi2 that a model must gain over the line; the third power only where the second plainly fails
-PENALTY = {"line": 0.0, "quadratic": 1.0, "cubic": 8.0, "straight": 0.0, "straight2": 1.0}
+PENALTY = {"line": 0.0, "quadratic": 1.5, "cubic": 8.0, "straight": 0.0, "straight2": 1.5}
 
 
 @dataclass(frozen=True, eq=False)

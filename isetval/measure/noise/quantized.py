@@ -75,13 +75,13 @@ def fit_quantized(views: Sequence[NDArray[Any]]) -> QuantizedNoise:
     patterns, numbers = _patterns(codes)
     start = _start(codes, first)
     data = (patterns, numbers, first, first == 0)
-    theta, covariance, converged = _maximize(data, start, len(views))
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    theta, converged = _maximize(data, start, len(views))
+    sigma = np.sqrt(np.maximum(np.diag(_covariance(data, theta, len(views))), 0.0))
     s, d = math.exp(theta[1]), math.exp(theta[2])
     return QuantizedNoise(
         Quantity(float(theta[0]), float(sigma[0]), "DN"),
         Quantity(s, float(s * sigma[1]), "DN"),
-        Quantity(d, float(min(d * sigma[2], max(d, s / math.sqrt(2 * len(views))))), "DN"),
+        Quantity(d, float(sigma[2] / max(2 * d, math.sqrt(sigma[2]))), "DN"),
         converged,
         int(numbers.sum()),
     )
@@ -140,13 +140,32 @@ def _log_likelihood(data: tuple[Float, Float, int, bool], theta: Float, frames: 
     return np.asarray(top + np.log(np.exp(exponent - top[:, None]) @ weight))
 
 
-def _maximize(data: tuple[Float, Float, int, bool], start: Float, frames: int) -> tuple[Float, Float, bool]:
+def _covariance(data: tuple[Float, Float, int, bool], theta: Float, frames: int) -> Float:
+    """Covariance of level, log temporal sd and offset *variance* (which stays regular where the offsets vanish)."""
+    numbers = data[1]
+    variance, step = math.exp(2 * theta[2]), 0.02 * math.exp(2 * theta[1])
+    low, high = max(variance - step, FLOOR_SD**2), variance + step
+
+    def at(offset_variance: float) -> Float:
+        return _log_likelihood(data, np.array([theta[0], theta[1], 0.5 * math.log(offset_variance)]), frames)
+
+    scores = [
+        (_log_likelihood(data, theta + h, frames) - _log_likelihood(data, theta - h, frames)) / 2e-4 for h in 1e-4 * np.eye(3)[:2]
+    ]
+    stack = np.stack([*scores, (at(high) - at(low)) / (high - low)], axis=1)
+    stack -= (numbers @ stack) / numbers.sum()
+    information = (stack * numbers[:, None]).T @ stack
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-12))
+    normal = information * np.outer(scale, scale) + 1e-9 * np.eye(3)
+    return np.asarray(np.linalg.inv(normal) * np.outer(scale, scale), dtype=np.float64)
+
+
+def _maximize(data: tuple[Float, Float, int, bool], start: Float, frames: int) -> tuple[Float, bool]:
     """Scoring with halved steps; parameters are level, log temporal sd, log offset sd."""
     numbers = data[1]
     theta = start.copy()
     best = float(numbers @ _log_likelihood(data, theta, frames))
     step = np.array([1e-4, 1e-4, 1e-3])
-    information = np.eye(3)
     for _ in range(60):
         scores = np.stack(
             [
@@ -160,8 +179,8 @@ def _maximize(data: tuple[Float, Float, int, bool], start: Float, frames: int) -
         move = np.clip(np.linalg.solve(information, gradient), -0.5, 0.5)
         theta, gained, best = _line_search(data, theta, move, best, frames)
         if gained < 1e-5:
-            return theta, np.asarray(np.linalg.inv(information), dtype=np.float64), True
-    return theta, np.asarray(np.linalg.inv(information), dtype=np.float64), False
+            return theta, True
+    return theta, False
 
 
 def _line_search(
