@@ -15,7 +15,7 @@ import numpy as np
 from isetval.core.errors import InputError
 from isetval.lens.contradictions import Findings, Flag, find_flags
 from isetval.lens.evidence import entrance_pupil, ray_jacobian
-from isetval.lens.focus import axial_color_um, film_for_object, focus_curve, object_for_film
+from isetval.lens.focus import axial_color_um, film_for_object, object_for_film
 from isetval.lens.illumination import distortion_percent, effective_f_number, field_angle_deg, focal_length_mm
 from isetval.lens.ray_transfer import RayTransferLens, load_lens
 from isetval.lens.stored import StatedFacts, stated_facts
@@ -53,7 +53,7 @@ class LensAudit:
     r_mm, relative_illumination, chief_ray_angle_deg, field_angle_deg, distortion_percent : tuple
         Over the field up to the sensor corner.
     focus : tuple
-        Pairs (object_m, best film_mm); object to front vertex, film to rear vertex.
+        Pairs (object_m, best film_mm); object to front vertex, film to rear vertex; nan where nothing focuses.
     stated_focus : tuple of StatedFocus
     etendue_ratio : (3,)
         Smallest, mean and largest determinant of the ray map (1 conserves étendue).
@@ -87,7 +87,7 @@ class LensAudit:
     flags: tuple[Flag, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The audit as plain numbers, lists and words; infinity as the string "infinity"."""
+        """The audit as plain numbers, lists and words; infinity as the string "infinity", nan as null."""
         plain = asdict(self)
         curves = ("relative_illumination", "chief_ray_angle_deg", "field_angle_deg", "distortion_percent")
         for name in curves:
@@ -208,15 +208,22 @@ def _tuple(values: Any) -> tuple[float, ...]:
 
 
 def _focus(lens: RayTransferLens) -> tuple[tuple[float, float], ...]:
-    """Best film distances for the standard object distances."""
-    return tuple(zip(OBJECTS_M, _tuple(focus_curve(lens, OBJECTS_M)), strict=True))
+    """Best film distances for the standard object distances; nan where nothing focuses."""
+    return tuple((distance, _film(lens, distance)) for distance in OBJECTS_M)
+
+
+def _film(lens: RayTransferLens, object_m: float) -> float:
+    """Best film distance, nan where there is none."""
+    try:
+        return film_for_object(lens, object_m)
+    except InputError:
+        return math.nan
 
 
 def _stated_focus(lens: RayTransferLens, stated: Mapping[float, float]) -> tuple[StatedFocus, ...]:
     """Each stated pair beside what the rays say."""
     return tuple(
-        StatedFocus(film, distance, object_for_film(lens, film), film_for_object(lens, distance))
-        for film, distance in stated.items()
+        StatedFocus(film, distance, object_for_film(lens, film), _film(lens, distance)) for film, distance in stated.items()
     )
 
 

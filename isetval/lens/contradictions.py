@@ -103,6 +103,9 @@ def _focus(f: Findings) -> Iterator[Flag]:
     for film, stated, found, needed in f.stated_focus:
         if abs(film - needed) <= tolerance:
             continue
+        if math.isnan(needed):
+            yield _no_focus(film, stated)
+            continue
         blur = abs(film - needed) / f.f_number * 1e3
         yield Flag(
             code="focus_not_conjugate",
@@ -112,6 +115,16 @@ def _focus(f: Findings) -> Iterator[Flag]:
             remedy=f"set the film to {needed:.4f} mm, or state {_metres(found)} as the focus; with a pupil of the wrong size an "
             "agreeing MTF50 proves neither: compare the shape of the MTF too",
         )
+
+
+def _no_focus(film: float, stated: float) -> Flag:
+    """A stated object distance that no film distance focuses."""
+    return Flag(
+        code="focus_not_conjugate",
+        found=f"no film distance near the file's image plane focuses an object at {_metres(stated)}",
+        needed=f"a focus at film {film:.5f} mm, as stated",
+        remedy="check the unit of the film distance and that the lens forms an image at all",
+    )
 
 
 def _metres(distance: float) -> str:

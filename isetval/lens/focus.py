@@ -70,7 +70,7 @@ def film_for_object(
     nearest = lens.plane_offset_input_mm - 0.9 * float(lens.table(wavelength_nm).region.plane_distance_mm)
     low, high = max(start - reach, nearest), start + reach
     found = least_blur(blur, low, high)
-    if min(found - low, high - found) < 0.01 * reach:
+    if not np.isfinite(blur(found)) or min(found - low, high - found) < 0.01 * reach:
         raise InputError(
             f"lens '{lens.name}': no focus for an object at {object_m} m with the film within {low:.2f} to {high:.2f} mm; "
             "use an object that is further away"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lens_models import DX, DY, R, lens_of, thin_lens_terms
+from lens_models import DX, DY, R, lens_of, thin_lens, thin_lens_terms
 
 from isetval.core.errors import InputError
 from isetval.lens.auditing import audit, audit_file, f_numbers_in
@@ -112,3 +112,13 @@ def test_f_numbers_are_read_from_words_and_nothing_else() -> None:
 def test_a_stated_f_number_must_be_positive(pixel4a: RayTransferLens) -> None:
     with pytest.raises(InputError, match="positive"):
         audit(pixel4a, stated_f_number=0.0)
+
+
+def test_a_lens_of_circles_and_one_without_any_focus_are_audited_too() -> None:
+    circles = audit(thin_lens(4.4, 4.0))
+    assert circles.to_json()["table_end_mm"] == "infinity"
+    assert circles.f_number == pytest.approx(4.03, abs=0.01)  # 1/(2 sin atan(1/8))
+    hole = audit(replace(thin_lens(4.4, 4.0), name="weak"), stated_focus={4.4: 0.021})
+    assert "focus_not_conjugate" in codes(hole)
+    json.dumps(hole.to_json(), allow_nan=False)
+    assert hole.lines()
