@@ -50,12 +50,12 @@ def microlens(planes, camera, place, more, *, loss_rgb):
     return planes * (1 - np.array(loss_rgb)[:, None, None] * (tangent2 / corner2)[None])
 
 
-@at("blur", "field_curvature")
-def field_curvature(blur, camera, place, more, *, sag_um):
+@at("focus", "field_curvature")
+def field_curvature(focus_um, camera, place, more, *, sag_um):
     """Best focus on a spherical shell: the flat sensor is out of focus by the shell's sag at the window."""
     row0, col0, rows, cols = place.window
     middle = optics.radius((row0 + rows // 2, col0 + cols // 2, 1, 1))[0, 0]
-    return blur | {"focus": round(blur["focus"] + sag_um * middle**2, 6)}
+    return round(focus_um + sag_um * middle**2, 6)
 
 
 @at("color", "spectral_crosstalk")

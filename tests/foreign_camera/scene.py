@@ -130,12 +130,10 @@ def edge_picture(camera, place, spectral):
     distance, tilt = edge_distance(place)
     focus = round(place.focus_um + place.get("focus_um") + camera.focus_um, 6)
     shares = optics.node_shares(spectral)
-    diffusion = camera.diffusion_px
-    blur = apply_stage("blur", {"diffusion": diffusion, "focus": focus, "astigmatism": 0.0}, camera, place, None)
+    focus = apply_stage("focus", focus, camera, place, None)
     axis = tilt if place.target.orientation == "vertical" else np.pi / 2 - tilt
     tables = [
-        optics.edge_spread(float(nm), camera.f_number, blur["focus"], round(axis, 9), blur["diffusion"], blur["astigmatism"])
-        for nm in optics.NODES_NM
+        optics.edge_spread(float(nm), camera.f_number, focus, round(axis, 9), camera.diffusion_px) for nm in optics.NODES_NM
     ]
     places = tables[0][0]
     curves = shares @ np.array([values for _, values in tables])
@@ -171,8 +169,11 @@ CHART_NODES_NM = np.array([400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0])
 
 def _blurred_chart(camera, spectral, table, label):
     """The chart through the lens: one transfer function per node, spectra shared out between the nodes."""
-    pad = 96
-    wide = np.pad(label, pad)
+    # about 96 px of surround, to sizes that a Fourier transform likes
+    shape = [64 * -(-(n + 192) // 64) for n in label.shape]
+    top, left = ((wide - n) // 2 for wide, n in zip(shape, label.shape, strict=True))
+    wide = np.zeros(shape, int)
+    wide[top : top + label.shape[0], left : left + label.shape[1]] = label
     hats = np.array([np.interp(spectra.WAVELENGTH_NM, CHART_NODES_NM, unit) for unit in np.eye(len(CHART_NODES_NM))])
     out = np.zeros((3, *label.shape))
     for nm, hat in zip(CHART_NODES_NM, hats, strict=True):
@@ -180,5 +181,5 @@ def _blurred_chart(camera, spectral, table, label):
         shares = spectra.integrate((spectral * hat)[:, None] * table[None])
         for channel in range(3):
             picture = np.fft.irfft2(np.fft.rfft2(shares[channel][wide]) * transfer, wide.shape)
-            out[channel] += picture[pad:-pad, pad:-pad]
+            out[channel] += picture[top : top + label.shape[0], left : left + label.shape[1]]
     return out
