@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,7 @@ from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.sensor import Black
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,10 @@ def _jinc(x: Float) -> Float:
 
 def pupil_otf(v: ArrayLike, *, waves: float = 0.0) -> Float:
     """Optical transfer function of a circular pupil at ``v`` = frequency / cut-off, defocused by ``waves``."""
-    v = np.abs(np.asarray(v, dtype=float))
-    inside = np.minimum(v, 1.0)
+    scaled: Float = np.abs(np.asarray(v, dtype=float))
+    inside = np.minimum(scaled, 1.0)
     if waves == 0:
-        return np.asarray(np.where(v < 1, 2 / math.pi * (np.arccos(inside) - inside * np.sqrt(1 - inside**2)), 0.0))
+        return np.asarray(np.where(scaled < 1, 2 / math.pi * (np.arccos(inside) - inside * np.sqrt(1 - inside**2)), 0.0))
     # the overlap of two unit discs at distance 2v; the phase difference 2 pi W20 (4 v x) is odd in x
     nodes, weights = np.polynomial.legendre.leggauss(160)
     theta = np.arccos(inside)[..., None] * (nodes + 1) / 2
@@ -118,7 +119,7 @@ def pupil_otf(v: ArrayLike, *, waves: float = 0.0) -> Float:
     chord = np.sin(theta)
     phase = np.cos(2 * math.pi * waves * 4 * inside[..., None] * x)
     area = np.arccos(inside) / 2 * np.sum(weights * chord * np.sin(theta) * phase, axis=-1)
-    return np.asarray(np.where(v < 1, area * 4 / math.pi, 0.0))
+    return np.asarray(np.where(scaled < 1, area * 4 / math.pi, 0.0))
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,8 @@ class EdgeTruth:
     contrast : float
         Bright level / dark level.
     shading_along, shading_across : float
-        Relative change of the illumination over the picture's larger side along the edge and across it (a plane, 1 at the centre).
+        Relative change of the illumination over the picture's larger side, along the edge and across it
+        (a plane, 1 at the centre).
     """
 
     blur: EdgeBlur = field(default_factory=EdgeBlur)

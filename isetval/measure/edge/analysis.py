@@ -13,13 +13,12 @@ from isetval.core.errors import InputError
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.estimate import Estimate, measure_edge
 from isetval.measure.edge.locate import FirstLook, first_look
-from isetval.measure.edge.prior import shape_prior
 from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.samples import Samples, check_channel, plane_samples
-from isetval.measure.edge.smooth import EsfFit
-from isetval.measure.edge.verdict import SHALLOW_DEG, Verdict, judge, not_an_edge, too_small
+from isetval.measure.edge.smooth import FREQUENCY_STEP, EsfFit, solve_lower
+from isetval.measure.edge.verdict import SHALLOW_DEG, judge, not_an_edge, too_small
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 METHODS = ("default", "iso12233:2017", "iso12233:2023", "lyu2022")
 ROUNDING_VARIANCE = 1 / 12
@@ -138,9 +137,6 @@ def refused(capture: Capture, roi: Roi, *, channel: str, flags: Mapping[str, str
         angle_deg=NAN,
         orientation="unknown",
         normal_deg=NAN,
-        distance_px=empty,
-        esf=empty,
-        lsf=empty,
         flags=tuple(flags),
         warnings=(),
         edge_row_px=NAN,
@@ -170,7 +166,7 @@ def _settings(capture: Capture, method: str) -> dict[str, Any]:
         "method": method,
         "cfa": capture.sensor.cfa,
         "window": list(capture.window),
-        "frequency_step_cy_px": spectrum.FREQUENCY_STEP,
+        "frequency_step_cy_px": FREQUENCY_STEP,
     }
 
 
@@ -194,8 +190,7 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
     value = [NAN if refuse else c.value for c in found]
     sigma = [NAN if refuse else c.sigma * inflation for c in found]
     row, col = (float(x[0]), line.y_center_px) if samples.transposed else (line.y_center_px, float(x[0]))
-    distance, esf, lsf = curves(fit, estimate.distance_px)
-    level_sigma = np.sqrt(np.diag(fit.covariance)[:2])
+    dark_sigma, bright_sigma = level_sigma(fit)
     return SfrResult(
         frequency_cy_px=frequency,
         mtf=np.full(len(curve), NAN) if refuse else curve,
@@ -210,9 +205,6 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
         angle_deg=folded_angle(normal),
         orientation="horizontal" if samples.transposed != over else "vertical",
         normal_deg=normal,
-        distance_px=distance,
-        esf=esf,
-        lsf=lsf,
         flags=tuple(verdict.flags),
         warnings=tuple(verdict.warnings),
         edge_row_px=row,
@@ -223,8 +215,8 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
         roughness_px=estimate.roughness_px,
         dark_dn=fit.dark,
         bright_dn=fit.dark + fit.step,
-        dark_sigma_dn=float(level_sigma[0]),
-        bright_sigma_dn=_bright_sigma(fit),
+        dark_sigma_dn=dark_sigma,
+        bright_sigma_dn=bright_sigma,
         noise_dark_dn=float(np.sqrt(estimate.noise.dark)),
         noise_bright_dn=float(np.sqrt(estimate.noise.bright)),
         channel=channel,
@@ -234,13 +226,14 @@ def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: Fi
         settings=_settings(capture, "default") | {"curvature_per_px": float(bend[0] / (1 + slope[0] ** 2) ** 1.5)},
         choices=estimate.choices,
         inflation=inflation,
-        fit=None if refuse else fit,
+        fit=fit,
+        reach_px=(float(estimate.distance_px.min()), float(estimate.distance_px.max())),
         messages=verdict.flags | verdict.warnings,
     )
 
 
 def normal_direction(slope: float, sign: float, *, transposed: bool) -> float:
-    """Direction from dark to bright in degrees, 0 = larger columns, 90 = larger rows; ``slope`` is dx/dy of the rows' crossing."""
+    """Direction from dark to bright in degrees, 0 = larger columns, 90 = larger rows; ``slope`` is dx/dy."""
     along_x, along_y = sign, -sign * slope
     if transposed:
         along_x, along_y = along_y, along_x
@@ -252,9 +245,13 @@ def folded_angle(normal_deg: float) -> float:
     return float((normal_deg + 45) % 90 - 45)
 
 
-def _bright_sigma(fit: EsfFit) -> float:
-    c = fit.covariance
-    return float(np.sqrt(max(c[0, 0] + c[1, 1] + 2 * c[0, 1], 0.0)))
+def level_sigma(fit: EsfFit) -> tuple[float, float]:
+    """Standard deviations of the dark and the bright level, DN."""
+    pick = np.zeros((2, len(fit.coefficients)))
+    pick[0, 0] = pick[1, 0] = pick[1, 1] = 1.0
+    half = solve_lower(fit.lower, (pick * fit.mode_root).T)
+    dark, bright = np.sqrt((half * half).sum(axis=0))
+    return float(dark), float(bright)
 
 
 def _inflation(estimate: Estimate, angle_deg: float) -> float:
@@ -269,22 +266,7 @@ def _sagitta(estimate: Estimate) -> float:
     if line.order < 2:
         return 0.0
     y = line.y_center_px + line.y_half_px * np.linspace(-1, 1, 41)
-    x, slope, _ = line.position(y)
+    x, _, _ = line.position(y)
     chord = x[0] + (x[-1] - x[0]) * np.linspace(0, 1, 41)
     bow = (x - chord) / np.hypot(1, (x[-1] - x[0]) / (y[-1] - y[0]))
     return float(bow[np.argmax(np.abs(bow))])
-
-
-def curves(fit: EsfFit, distance_px: Float) -> tuple[Float, Float, Float]:
-    """Distance grid (1/8 px or a tenth of the width), ESF in DN and LSF in 1/px."""
-    from isetval.measure.edge import basis
-
-    step = max(0.125, 0.1 * fit.width_px)
-    low, high = float(distance_px.min()), float(distance_px.max())
-    grid = step * np.arange(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)
-    prior = shape_prior()
-    columns = np.column_stack([prior.mean, prior.vectors]) @ fit.shape
-    z = grid / fit.width_px
-    esf = fit.dark + basis.spline_matrix(z) @ columns
-    lsf = basis.spline_matrix(z, derivative=1) @ columns / (fit.width_px * fit.step)
-    return grid, esf, lsf

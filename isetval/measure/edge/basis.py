@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex128]
 
 CORE_STEP = 0.25
@@ -97,13 +98,15 @@ def cell_matrices() -> tuple[Float, Float]:
     return mean, spline_matrix(cells.center, derivative=1)
 
 
-def transform(frequency: Float) -> Complex:
-    """Fourier transform of the derivative of every B-spline at ``frequency`` (cycles per s), > 0.
+def transform(frequency: Float, jump: Float) -> Complex:
+    """Fourier transform of the derivative of splines at ``frequency`` (cycles per s), > 0, (frequencies, splines).
+
+    ``jump`` (knots, splines) are the jumps of their third derivatives.
 
     Exact: three integrations by parts leave the jumps of the third derivative at the knots,
     sum_k jump_k exp(-i w z_k) / (i w)^3.
     """
-    z, jump = jumps()
+    z = knots()
     w = 2 * np.pi * np.asarray(frequency, dtype=float)
     phase = np.exp(-1j * w[:, None] * z)
     return np.asarray((phase @ jump) / (1j * w[:, None]) ** 3)

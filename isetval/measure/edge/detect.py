@@ -18,10 +18,9 @@ from isetval.core.errors import InputError
 from isetval.measure.edge.analysis import sfr
 from isetval.measure.edge.samples import check_channel
 from isetval.measure.edge.segments import Segment, find_segments
-
 from isetval.measure.edge.verdict import MIN_SIDE_PX
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 MIN_LENGTH_PX = 30.0
 MIN_CLEAR_PX = 10.0
@@ -175,7 +174,12 @@ def _try_piece(
     need = max(MIN_CLEAR_PX, 4 * piece.width_px * scale)
     if clear < need:
         return drop("crowded", f"other structure {clear:.0f} px from the edge; needs {need:.0f}")
-    roi = place_roi(capture, full, least=MIN_SIDE_PX[check_channel(capture, channel)], clear_px=min(clear, MAX_CLEAR_PX, max(0.75 * full.length_px, need)))
+    roi = place_roi(
+        capture,
+        full,
+        least=MIN_SIDE_PX[check_channel(capture, channel)],
+        clear_px=min(clear, MAX_CLEAR_PX, max(0.75 * full.length_px, need)),
+    )
     if roi is None:
         return drop("too_small", f"no upright region fits {full.length_px:.0f} x {2 * clear:.0f} px at {folded:.0f} degrees")
     result = sfr(capture, roi, channel)
@@ -205,7 +209,9 @@ def clear_width(image: Float, segment: Segment) -> float:
     near = max(2.0, 2.5 * segment.width_px)
     outside = np.isnan(values).mean(axis=0) > 0.02
     quarter = max(1, len(along) // 8)
-    blocks = np.array([np.nanmean(_filled(part), axis=0) for part in np.array_split(values, max(1, len(along) // quarter), axis=0)])
+    blocks = np.array(
+        [np.nanmean(_filled(part), axis=0) for part in np.array_split(values, max(1, len(along) // quarter), axis=0)]
+    )
     extents = []
     levels = []
     for side in (-1, 1):
@@ -219,8 +225,9 @@ def clear_width(image: Float, segment: Segment) -> float:
         order = order[(side * across[order]) > near]
         worst = np.abs(blocks[:, order] - level).max(axis=0)
         # shading may change the level along the way; half of the step is another structure
-        bad = (worst > max(CLEAR_LEVEL, 3 * segment.noise / step) * step) & (worst > CLEAR_LEVEL * step) | outside[order]
-        stop = int(np.argmax(bad)) if bad.any() else len(order)
+        limit = max(CLEAR_LEVEL, 3 * segment.noise / step) * step
+        blocked = np.flatnonzero((worst > limit) | outside[order])
+        stop = int(blocked[0]) if len(blocked) else len(order)
         extents.append(float(np.abs(across[order[stop - 1]])) if stop > 0 else near)
     return min(extents)
 
@@ -259,7 +266,12 @@ def _bounding(capture: Capture, segment: Segment) -> Roi:
     high = abs(np.cos(radians)) * segment.length_px / 2 + 4
     wide = abs(np.sin(radians)) * segment.length_px / 2 + 4
     row0, col0 = max(0, int(segment.row_px - high)), max(0, int(segment.col_px - wide))
-    return (row0, max(row0 + 1, min(rows, int(segment.row_px + high) + 1)), col0, max(col0 + 1, min(cols, int(segment.col_px + wide) + 1)))
+    return (
+        row0,
+        max(row0 + 1, min(rows, int(segment.row_px + high) + 1)),
+        col0,
+        max(col0 + 1, min(cols, int(segment.col_px + wide) + 1)),
+    )
 
 
 def _without_doubles(accepted: list[EdgeRoi], rejected: list[RejectedEdge]) -> list[EdgeRoi]:
@@ -275,7 +287,16 @@ def _without_doubles(accepted: list[EdgeRoi], rejected: list[RejectedEdge]) -> l
             turn = abs((other.normal_deg - edge.normal_deg + 180) % 360 - 180)
             double |= bool(turn < 10 and across < 4 and along < 0.3 * (edge.length_px + other.length_px))
         if double:
-            rejected.append(RejectedEdge(tuple(edge), "double", "the same edge was found longer", edge.row_px, edge.col_px, edge.length_px))
+            rejected.append(
+                RejectedEdge(
+                    (edge[0], edge[1], edge[2], edge[3]),
+                    "double",
+                    "the same edge was found longer",
+                    edge.row_px,
+                    edge.col_px,
+                    edge.length_px,
+                )
+            )
         else:
             kept.append(edge)
     return kept

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge import basis, smooth
+from isetval.measure.edge import smooth
 from isetval.measure.edge.locate import EdgeLine, FirstLook
 from isetval.measure.edge.refine import (
     TABLE_REACH,
@@ -23,8 +23,8 @@ from isetval.measure.edge.refine import (
     distances,
     esf_table,
     fit_along,
-    gain_of,
     gain_at,
+    gain_of,
     gather,
     noise_level,
     normal_distance,
@@ -35,15 +35,16 @@ from isetval.measure.edge.refine import (
 from isetval.measure.edge.samples import Samples
 from isetval.measure.edge.smooth import Binned, EsfFit, fit_esf
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 MIN_WIDTH_PX = 0.2
-PASSES = 6
+PASSES = 8
 MOVES = 6
 THINNED = 3500
 MODEL_ERROR = 2e-5
 MOVING_ERROR = 2e-3
-SHADING_DONE = 0.01
+ALONG_DONE = 0.0005
+ACROSS_DONE = 0.0007
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +93,9 @@ def measure_edge(samples: Samples, look: FirstLook, *, floor: float, choices: Ma
         geometry, sides = fit_along(some, geometry, width)
         fit, noise, binned, distance = _whole(samples, geometry, width, moved.fit, floor=floor, chosen=chosen)
         across = [float(np.clip(g + c, -0.8, 0.8)) for g, c in zip(geometry.gain[3:], fit.coefficients[2:4], strict=True)]
-        lit = max(abs(a - b) for a, b in zip(before, (*geometry.gain[:3], *across), strict=True))
-        if lit < SHADING_DONE:
+        noisy = 3 * float(np.sqrt(noise.bright / some.values.size)) / look.bright
+        along_done = max(abs(a - b) for a, b in zip(before[:3], geometry.gain[:3], strict=True)) < ALONG_DONE + noisy
+        if along_done and float(np.abs(fit.coefficients[2:4]).max()) < ACROSS_DONE + 5 * noisy:
             break
         geometry = Geometry(geometry.line, (*geometry.gain[:3], across[0], across[1]), half)
     made = {"order": geometry.line.order, "width_index": smooth.width_index(fit.width_px), "even": fit.even, "odd": fit.odd}
@@ -144,6 +146,7 @@ def locate(
         enough = 2e-4 + 0.1 / np.sqrt(max(float(shifts.weight.sum()), 1e-9))
         if moved < enough and abs(width / old - 1) < 0.03:
             break
+    assert fit is not None
     return Located(geometry, width, fit, shifts, row_chi2)
 
 

@@ -11,6 +11,7 @@ straight line, Hamming, no derivative correction, frequency along the pixel axis
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.samples import Samples, is_horizontal, plane_samples
 from isetval.measure.edge.verdict import not_an_edge, too_small
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 OVERSAMPLING = 4
 GROUPS = 8
@@ -89,15 +90,17 @@ def _luminance(capture: Capture, roi: Roi) -> Samples:
                 mask[row - row0 :: step, col - col0 :: step] = 1
         near = kernel if name != "G" else np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
         share = convolve(mask, near, mode="constant")
-        total += {"R": 0.3, "G": 0.6, "B": 0.1}[name] * convolve(level * mask, near, mode="constant") / np.maximum(share, 1e-9)
+        total = total + {"R": 0.3, "G": 0.6, "B": 0.1}[name] * convolve(level * mask, near, mode="constant") / np.maximum(
+            share, 1e-9
+        )
     high = capture.mosaic[row0:row1, col0:col1] >= capture.sensor.white_dn
-    rows, cols = total.shape
+    rows = len(total)
     samples = Samples(total, np.full(rows, float(col0)), row0 + np.arange(rows, dtype=float), 1.0, 1.0, False, high, high)
     return samples.flipped() if is_horizontal(total) else samples
 
 
 def _window(n: int, center: Float, *, tukey: bool) -> Float:
-    """Windows of ``n`` samples about ``center`` (rows,), (rows, n): Hamming or Tukey with alpha 1, stretched to the farther end."""
+    """Windows of ``n`` samples about ``center`` (rows,), (rows, n): Hamming or Tukey (alpha 1), stretched to the farther end."""
     x = np.arange(n) - center[:, None]
     half = np.maximum(center, n - 1 - center)[:, None]
     cosine = np.cos(np.pi * x / np.maximum(half, 1.0))
@@ -225,9 +228,7 @@ def _report(
         angle_deg=analysis.folded_angle(normal),
         orientation="horizontal" if samples.transposed else "vertical",
         normal_deg=normal,
-        distance_px=distance * sign,
-        esf=esf,
-        lsf=lsf * sign,
+        profile=(distance * sign, esf, lsf * sign),
         edge_row_px=middle_col if samples.transposed else middle_row,
         edge_col_px=middle_row if samples.transposed else middle_col,
         dark_dn=min(low, high),

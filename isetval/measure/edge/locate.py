@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.measure.edge.samples import Samples
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 MAX_ORDER = 5
 
@@ -64,7 +65,7 @@ class EdgeLine:
         return value + outside * slope * self.y_half_px, slope, np.where(outside == 0, bend, 0.0)
 
     def middle(self) -> tuple[float, float]:
-        """x and dx/dy at the middle row."""
+        """X and dx/dy at the middle row."""
         c = np.zeros(6)
         c[: len(self.coefficients)] = self.coefficients
         return float(c[0] - c[2] / 2 + 0.375 * c[4]), float(c[1] - 1.5 * c[3] + 1.875 * c[5]) / self.y_half_px

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.measure.edge import basis
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 ENSEMBLE = 600
 REACH = 40.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,7 @@ from isetval.measure.edge.analysis import sfr
 from isetval.measure.edge.detect import find_edges
 from isetval.measure.edge.result import SfrResult
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 PARALLEL_DEG = 30.0
 CENTER_SHARE = 0.05
@@ -120,10 +121,10 @@ def lens_profile(
     return LensProfile(tuple(points), tuple(refused), many[0].sensor.half_diagonal_mm, channel)
 
 
-def _region_lists(many: list[Capture], rois: object, channel: str, *, single: bool) -> list[list[Roi]]:
+def _region_lists(many: list[Capture], rois: Any, channel: str, *, single: bool) -> list[list[Roi]]:
     if rois is None:
         return [list(find_edges(capture, channel)) for capture in many]
-    given = [rois] if single else list(rois)  # type: ignore[call-overload]
+    given = [rois] if single else list(rois)
     if len(given) != len(many):
         raise InputError(f"{len(many)} captures and {len(given)} lists of regions; give one list of regions per capture")
     return [list(part) for part in given]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from isetval.measure.edge.prior import shape_prior
 from isetval.measure.edge.samples import Samples
 from isetval.measure.edge.smooth import FREE, Binned, EsfFit
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 LUT_STEP = basis.CORE_STEP / basis.BINS_PER_KNOT / 4
 TABLE_REACH = 8.0
@@ -52,6 +53,7 @@ def gain_of(samples: Samples, geometry: Geometry, distance_px: Float) -> Float:
 
 
 def gain_at(geometry: Geometry, along_px: Float, distance_px: Float) -> Float:
+    """Illumination at places along and across the edge."""
     a, b, c, d, e = (g / geometry.half_px**k for g, k in zip(geometry.gain, (1, 2, 2, 1, 2), strict=True))
     out = along_px * b
     out += c * distance_px

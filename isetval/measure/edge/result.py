@@ -16,7 +16,7 @@ from isetval.core.errors import MeasurementError
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.smooth import EsfFit
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 AXIS = "frequency along the edge normal, cycles per pixel of the full sensor grid"
 
@@ -37,8 +37,6 @@ class SfrResult:
         Angle of the edge from the nearer pixel axis, -45 to 45; ``orientation`` says which axis.
     normal_deg : float
         Direction from the dark to the bright side, 0 to 360: 0 towards larger columns, 90 towards larger rows.
-    distance_px, esf, lsf : (m,)
-        Signed distance along the normal (positive on the bright side), ESF in DN above black, LSF in 1/px.
     flags : tuple of str
         Reason codes for refusing the edge; empty = accepted.
     warnings : tuple of str
@@ -71,9 +69,6 @@ class SfrResult:
     angle_deg: float
     orientation: str
     normal_deg: float
-    distance_px: Float
-    esf: Float
-    lsf: Float
     flags: tuple[str, ...]
     warnings: tuple[str, ...]
     edge_row_px: float
@@ -96,6 +91,8 @@ class SfrResult:
     choices: Mapping[str, Any]
     inflation: float = 1.0
     fit: EsfFit | None = field(default=None, repr=False)
+    reach_px: tuple[float, float] = (0.0, 0.0)
+    profile: tuple[Float, Float, Float] | None = field(default=None, repr=False)
     sigma_curve: Float | None = field(default=None, repr=False)
     messages: Mapping[str, str] = field(default_factory=dict)
 
@@ -107,14 +104,33 @@ class SfrResult:
         return not self.flags
 
     @cached_property
+    def _curves(self) -> tuple[Float, Float, Float]:
+        if self.profile is not None:
+            return self.profile
+        return (np.zeros(0),) * 3 if self.fit is None else spectrum.esf_curves(self.fit, self.reach_px)
+
+    @property
+    def distance_px(self) -> Float:
+        """Signed distance along the normal, positive on the bright side, (m,)."""
+        return self._curves[0]
+
+    @property
+    def esf(self) -> Float:
+        """ESF in DN above black at ``distance_px``, (m,)."""
+        return self._curves[1]
+
+    @property
+    def lsf(self) -> Float:
+        """LSF in 1/px at ``distance_px``, (m,); its integral is 1."""
+        return self._curves[2]
+
+    @cached_property
     def mtf_sigma(self) -> Float:
         """Standard deviation of ``mtf`` at every frequency, (n,)."""
-        if self.fit is None:
+        if self.fit is None or self.flags:
             return np.full(len(self.mtf), np.nan) if self.sigma_curve is None else self.sigma_curve
         gradient = spectrum.mtf_gradient(self.fit, self.frequency_cy_px)
-        covariance = spectrum.shape_covariance(self.fit, kind="posterior")
-        variance = np.einsum("ij,ij->i", gradient @ covariance, gradient)
-        out = np.sqrt(np.maximum(variance, 0)) * self.inflation
+        out = np.sqrt(spectrum.gradient_variance(self.fit, gradient)) * self.inflation
         out[self.frequency_cy_px == 0] = 0.0
         return np.asarray(out)
 
@@ -167,7 +183,7 @@ class SfrResult:
         MeasurementError
             When the edge was refused or the method gives no covariance.
         """
-        if self.fit is None:
+        if self.fit is None or self.flags:
             raise MeasurementError(
                 f"roi {self.roi}: method {self.method!r} with flags {self.flags} has no covariance; "
                 "use the default method on an accepted edge"
@@ -183,12 +199,13 @@ class SfrResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fit, as plain JSON values."""
-        skip = {"fit", "sigma_curve"}
+        skip = {"fit", "sigma_curve", "profile"}
         out: dict[str, Any] = {"axis": AXIS}
         for name in self.__dataclass_fields__:
             if name not in skip:
                 out[name] = _plain(getattr(self, name))
-        out["mtf_sigma"] = _plain(self.mtf_sigma)
+        for name in ("mtf_sigma", "distance_px", "esf", "lsf"):
+            out[name] = _plain(getattr(self, name))
         out["nyquist_mtf"] = self.nyquist_mtf
         out["sampling_efficiency"] = self.sampling_efficiency
         return out
@@ -200,7 +217,8 @@ class SfrResult:
     def to_csv(self) -> str:
         """The curve as CSV text with the axis definition in the first line."""
         rows = zip(self.frequency_cy_px, self.frequency_cy_mm, self.mtf, self.mtf_sigma, strict=True)
-        head = f"# {AXIS}; method {self.method}; flags {' '.join(self.flags) or 'none'}\nfrequency_cy_px,frequency_cy_mm,mtf,mtf_sigma\n"
+        head = f"# {AXIS}; method {self.method}; flags {' '.join(self.flags) or 'none'}\n"
+        head += "frequency_cy_px,frequency_cy_mm,mtf,mtf_sigma\n"
         return head + "".join(f"{a:.6g},{b:.6g},{c:.8g},{d:.4g}\n" for a, b, c, d in rows)
 
 

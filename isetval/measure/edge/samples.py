@@ -9,6 +9,7 @@ sees one crossing per row.  Coordinates stay those of the capture's pixels.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_
 from isetval.core.errors import InputError
 from isetval.core.sensor import BAYER_PLANES, pattern_at
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 CHANNELS = ("R", "Gr", "Gb", "B", "G")
 

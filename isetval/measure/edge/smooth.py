@@ -14,13 +14,15 @@ from scipy.linalg import lapack
 from isetval.measure.edge import basis
 from isetval.measure.edge.prior import shape_prior
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex128]
 
 EVEN_GRID = (0.0005, 0.002, 0.008, 0.03, 0.12, 0.5)
 ODD_GRID = (0.0, 0.002, 0.008, 0.03, 0.12)
 MOVING = (0.004, 0.002)
 FREE = 4
+FREQUENCY_STEP = 0.005
+FREQUENCIES = 401
 FREE_VARIANCE = np.array([1e4, 1e4, 0.6, 0.25]) ** 2
 WIDTH_STEP = 0.02
 
@@ -50,17 +52,33 @@ def _modes() -> tuple[Float, Float]:
     return mean @ columns, slope @ columns
 
 
-@lru_cache(maxsize=256)
-def _spectra(width_index: int, grid: tuple[float, float, int]) -> Complex:
-    """Transform of mean shape and modes at a frequency grid in cy/px, (frequencies, 1 + modes)."""
-    start, step, n = grid
+@lru_cache(maxsize=1)
+def _shape_columns() -> tuple[Float, Float, Float]:
+    """Mean shape and modes: coefficients, jumps of their third derivatives at the knots, steps from end to end."""
     prior = shape_prior()
-    frequency = (start + step * np.arange(n)) * width_of(width_index)
-    safe = np.where(frequency > 0, frequency, 1.0)
     columns = np.column_stack([prior.mean, prior.vectors])
-    out = basis.transform(safe) @ columns
-    out[frequency == 0] = columns[-1] - columns[0]
-    return np.asarray(out)
+    return columns, basis.jumps()[1] @ columns, columns[-1] - columns[0]
+
+
+def shape_columns() -> Float:
+    """Spline coefficients of mean shape and modes, (splines, 1 + modes)."""
+    return _shape_columns()[0]
+
+
+def _transform(scaled: Float) -> Complex:
+    _, jump, step = _shape_columns()
+    zero = scaled == 0
+    if not zero.any():
+        return basis.transform(scaled, jump)
+    out = basis.transform(np.where(zero, 1.0, scaled), jump)
+    out[zero] = step
+    return out
+
+
+@lru_cache(maxsize=256)
+def default_spectra(index: int) -> Complex:
+    """Transform of mean shape and modes at the default frequencies for one tabulated width, (frequencies, 1 + modes)."""
+    return _transform(FREQUENCY_STEP * np.arange(FREQUENCIES) * width_of(index))
 
 
 def width_index(width_px: float) -> int:
@@ -76,15 +94,9 @@ def width_of(index: int) -> float:
 def spectra(width_px: float, frequency_cy_px: Float) -> Complex:
     """Transform of mean shape and modes at any frequencies, (frequencies, 1 + modes)."""
     f = np.asarray(frequency_cy_px, dtype=float)
-    steps = np.diff(f)
-    if len(f) > 2 and np.allclose(steps, steps[0], rtol=1e-9, atol=0):
-        return _spectra(width_index(width_px), (float(f[0]), float(round(steps[0], 12)), len(f)))
-    prior = shape_prior()
-    columns = np.column_stack([prior.mean, prior.vectors])
-    safe = np.where(f > 0, f, 1.0) * width_px
-    out = basis.transform(safe) @ columns
-    out[f == 0] = columns[-1] - columns[0]
-    return np.asarray(out)
+    if len(f) == FREQUENCIES and f[1] == FREQUENCY_STEP and f[-1] == FREQUENCY_STEP * (FREQUENCIES - 1):
+        return default_spectra(width_index(width_px))
+    return _transform(f * width_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +159,13 @@ def relative_level(binned: Binned, fit: EsfFit) -> Float:
 
 
 def fit_esf(
-    binned: Binned, variance: Float, *, shading: Float | None, scale: float, choices: Mapping[str, Any] | None = None, full: bool = True
+    binned: Binned,
+    variance: Float,
+    *,
+    shading: Float | None,
+    scale: float,
+    choices: Mapping[str, Any] | None = None,
+    full: bool = True,
 ) -> EsfFit:
     """Fit the ESF to binned samples.
 
@@ -165,7 +183,6 @@ def fit_esf(
     full : bool
         Search the amplitudes; otherwise a middle one.
     """
-    prior = shape_prior()
     mean, slope = _modes()
     cell = binned.cell
     columns = slope[cell]

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge import smooth
-from isetval.measure.edge.smooth import FREE, EsfFit
+from isetval.measure.edge import basis, smooth
+from isetval.measure.edge.smooth import FREE, FREQUENCIES, FREQUENCY_STEP, EsfFit
 
-Float = NDArray[np.float64]
-
-FREQUENCY_STEP = 0.005
-FREQUENCIES = 401
+Float = NDArray[np.floating[Any]]
+Complex = NDArray[np.complex128]
 
 
 def default_frequency() -> Float:
@@ -28,12 +27,23 @@ def mtf_of(fit: EsfFit, frequency_cy_px: Float) -> Float:
 
 def mtf_gradient(fit: EsfFit, frequency_cy_px: Float) -> Float:
     """Derivative of the MTF by mean shape and modes, (frequencies, 1 + modes)."""
-    basis = smooth.spectra(fit.width_px, frequency_cy_px)
-    value = basis @ fit.shape
+    return _gradient(fit, smooth.spectra(fit.width_px, frequency_cy_px))
+
+
+def _gradient(fit: EsfFit, columns: Complex) -> Float:
+    value = columns @ fit.shape
     size = np.maximum(np.abs(value), 1e-12 * abs(fit.step))
-    out = np.real(np.conj(value)[:, None] * basis) / (size * abs(fit.step))[:, None]
+    out = np.real(np.conj(value)[:, None] * columns) / (size * abs(fit.step))[:, None]
     out[:, 0] -= size / fit.step**2 * np.sign(fit.step)
     return np.asarray(out)
+
+
+def gradient_variance(fit: EsfFit, gradient: Float) -> Float:
+    """Posterior variance of linear functions of mean shape and modes, (functions,)."""
+    full = np.zeros((len(gradient), len(fit.coefficients)))
+    full[:, 1], full[:, FREE:] = gradient[:, 0], gradient[:, 1:]
+    half = smooth.solve_lower(fit.lower, (full * fit.mode_root).T)
+    return np.asarray(np.einsum("ij,ij->j", half, half))
 
 
 def shape_covariance(fit: EsfFit, *, kind: str) -> Float:
@@ -69,14 +79,12 @@ def crossings(fit: EsfFit, frequency: Float, curve: Float, levels: Float) -> lis
     if not found.any():
         return out
     at = rough[found]
-    h = 1e-3
-    exact = mtf_of(fit, at)
-    slope = (mtf_of(fit, at + h) - mtf_of(fit, at - h)) / (2 * h)
-    slope = np.minimum(slope, -1e-3)
-    polished = at - np.clip((exact - levels[found]) / slope, -FREQUENCY_STEP, FREQUENCY_STEP)
-    gradient = mtf_gradient(fit, at)
-    covariance = shape_covariance(fit, kind="posterior")
-    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", gradient, covariance, gradient, optimize=True), 0)) / -slope
+    n, h = len(at), 1e-3
+    columns = smooth.spectra(fit.width_px, np.concatenate([at, at + h, at - h]))
+    value = np.abs(columns @ fit.shape) / abs(fit.step)
+    slope = np.minimum((value[n : 2 * n] - value[2 * n :]) / (2 * h), -1e-3)
+    polished = at - np.clip((value[:n] - levels[found]) / slope, -FREQUENCY_STEP, FREQUENCY_STEP)
+    sigma = np.sqrt(gradient_variance(fit, _gradient(fit, columns[:n]))) / -slope
     for index, f, s in zip(np.flatnonzero(found), polished, sigma, strict=True):
         out[index] = Crossing(float(f), float(s))
     return out
@@ -98,3 +106,14 @@ def acutance(frequency_cy_px: Float, mtf: Float, *, pixels_per_degree: float) ->
             75 * np.linspace(0, 120, 4001) ** 0.8 * np.exp(-0.2 * np.linspace(0, 120, 4001)) / 34.05, np.linspace(0, 120, 4001)
         )
     )
+
+
+def esf_curves(fit: EsfFit, reach_px: tuple[float, float]) -> tuple[Float, Float, Float]:
+    """Distance grid (1/8 px or a tenth of the width), ESF in DN and LSF in 1/px over ``reach_px``."""
+    step = max(0.125, 0.1 * fit.width_px)
+    grid = step * np.arange(int(np.ceil(reach_px[0] / step)), int(np.floor(reach_px[1] / step)) + 1)
+    columns = smooth.shape_columns() @ fit.shape
+    z = grid / fit.width_px
+    esf = fit.dark + basis.spline_matrix(z) @ columns
+    lsf = basis.spline_matrix(z, derivative=1) @ columns / (fit.width_px * fit.step)
+    return grid, esf, lsf

@@ -11,6 +11,7 @@ than one transition, a corner or a pattern).  Warned: ``shallow_angle`` (below 3
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from isetval.measure.edge.locate import FirstLook, pixel_noise, transitions, two
 from isetval.measure.edge.refine import gain_of
 from isetval.measure.edge.samples import Samples
 
-Float = NDArray[np.float64]
+Float = NDArray[np.floating[Any]]
 
 MIN_SIDE_PX = {"MONO": 24, "G": 28, "Gr": 40, "Gb": 40, "R": 40, "B": 40}
 GOOD_LENGTH_PX = {"MONO": 35, "G": 70, "Gr": 140, "Gb": 140, "R": 140, "B": 140}
@@ -72,7 +73,10 @@ def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | N
             "place the region on one edge"
         )
     if first_width(samples, look.line, look) > 0.12 * reach:
-        return "no_edge", f"the level changes smoothly over more than a quarter of the {reach:g} px: no edge, or one too blurred for the region"
+        return (
+            "no_edge",
+            f"the level changes smoothly over a quarter of the {reach:g} px or more: no edge, or too blurred for the region",
+        )
     return None
 
 
@@ -160,7 +164,7 @@ def _clipping(flags: dict[str, str], warnings: dict[str, str], samples: Samples,
 
 def _sides(flags: dict[str, str], estimate: Estimate, distance: Float) -> None:
     width = estimate.fit.width_px
-    reach = min(-float(np.quantile(distance, 0.005)), float(np.quantile(distance, 0.995)))
+    reach = min(-float(distance.min()), float(distance.max()))
     if width > 0.15 * (float(distance.max()) - float(distance.min())):
         flags["too_blurred"] = f"the edge's width (sigma {width:.1f} px) fills the region; enlarge the region"
     elif reach < max(3.0, 3 * width):
@@ -192,6 +196,7 @@ def _single(flags: dict[str, str], samples: Samples, estimate: Estimate, distanc
     bad = worst > np.maximum(SECOND_EDGE * fit.step, 6 * noise)
     if bad.sum() >= 2 or (bad.any() and worst.max() > 3 * SECOND_EDGE * fit.step):
         flags["two_edges"] = (
-            f"{int(bad.sum())} of {int(use.sum())} parts of the plateaus differ by up to {100 * worst.max() / fit.step:.0f} % of the step; "
+            f"{int(bad.sum())} of {int(use.sum())} parts of the plateaus differ by up to "
+            f"{100 * worst.max() / fit.step:.0f} % of the step; "
             "choose a region with a single edge"
         )
