@@ -1,0 +1,23 @@
+"""What a command hands back to the shell around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+FINE, OUTSIDE_LIMITS, USAGE, BAD_INPUT, MISSING_PART, INTERNAL = 0, 1, 2, 3, 4, 70
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result for programs, lines for people, exit code, and the inputs' hashes.
+
+    ``table`` is written instead of the JSON where the output file ends in ``.csv``.
+    """
+
+    result: Mapping[str, Any] = field(default_factory=dict)
+    lines: Sequence[str] = ()
+    code: int = FINE
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    table: Sequence[Mapping[str, Any]] = ()

@@ -1,0 +1,72 @@
+"""What a result was made from: command, versions, and the SHA-256 of every input."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import platform
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import isetval
+from isetval.core.errors import InputError
+
+_NAMED = ("numpy", "scipy", "pandas", "rawpy", "opencv-contrib-python-headless", "mitsuba")
+METRIC_VERSIONS = {
+    "chart": 1,
+    "dark": 1,
+    "find_edges": 1,
+    "flat_fields": 1,
+    "photon_transfer": 1,
+    "relative_illumination": 1,
+    "sfr": 1,
+    "uniform_patches": 1,
+}
+"""A changed number is a changed metric version, and a line in CHANGELOG.md."""
+
+
+def sha256_of(path: Path | str) -> str:
+    """SHA-256 of a file, in hexadecimal digits.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        with Path(path).open("rb") as handle:
+            while piece := handle.read(1 << 20):
+                digest.update(piece)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of isetval, Python and the libraries that numbers depend on."""
+    out = {"isetval": isetval.__version__, "python": platform.python_version(), "platform": sys.platform}
+    for name in _NAMED:
+        try:
+            out[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            out[name] = "not installed"
+    return out
+
+
+def provenance(argv: Iterable[str], inputs: Mapping[str, str]) -> dict[str, Any]:
+    """The part of a result that says where it comes from.
+
+    Parameters
+    ----------
+    argv : words of the command line, without the program's name
+    inputs : path -> SHA-256
+    """
+    return {
+        "command": ["isetval", *argv],
+        "versions": versions(),
+        "metric_versions": METRIC_VERSIONS,
+        "inputs": {path: {"sha256": digest} for path, digest in inputs.items()},
+    }
