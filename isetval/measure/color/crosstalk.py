@@ -16,7 +16,7 @@ from isetval.measure.color.qeresult import HoldOut, PatchMisfit, SpectralQE
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 CHANNELS = ("R", "G", "B")
-DRAWS = 300
+DRAWS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,8 +272,9 @@ def _spread(matrix: Float, covariances: Sequence[Float], constraints: Float, see
         root = vectors * np.sqrt(np.maximum(values, 1e-300))
         metric = (vectors / np.sqrt(np.maximum(values, 1e-300))).T
         draws = matrix[:, j] + rng.standard_normal((DRAWS, 3)) @ root.T
-        back = np.stack([inequality_lstsq(metric, metric @ d, constraints) for d in draws])
-        out[:, j] = np.sqrt(np.mean((back - matrix[:, j]) ** 2, axis=0))
+        for k in np.flatnonzero((draws @ constraints.T < 0).any(axis=1)):
+            draws[k] = inequality_lstsq(metric, metric @ draws[k], constraints)
+        out[:, j] = np.sqrt(np.mean((draws - matrix[:, j]) ** 2, axis=0))
     return out
 
 

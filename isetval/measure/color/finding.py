@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import MeasurementError
 from isetval.measure.color.reference import arrangements, match_score
+from isetval.measure.color.refinement import refine_centers
 
 Float = NDArray[np.float64]
 PREVIEW_SIDES = (900, 1500, 500, 2100)
 PERCENTILES = (99.5, 98.0, 99.95)
 GOOD_SCORE = 0.8
 LEAST_SCORE = 0.6
+MOST_UNEVEN = 6
+BORDER_STEP = 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +73,17 @@ def find_chart(capture: Capture) -> FoundChart:
     """
     shortest_bin = 1 if planes_of(capture) == ("MONO",) else 2
     best: FoundChart | None = None
-    tried = []
-    for side in PREVIEW_SIDES:
+    tried: list[tuple[int, bool]] = []
+    for side, gapped in [(side, gapped) for gapped in (False, True) for side in PREVIEW_SIDES]:
         bin_px = max(shortest_bin, shortest_bin * round(max(capture.mosaic.shape) / side / shortest_bin))
-        if bin_px in tried:
+        if (bin_px, gapped) in tried:
             continue
-        tried.append(bin_px)
+        tried.append((bin_px, gapped))
         linear = preview(capture, bin_px)
         if min(linear.shape[:2]) < 40:
             continue
         for percentile in PERCENTILES:
-            found = _find_in(linear, percentile, bin_px)
+            found = _find_in(linear, percentile, bin_px, gapped=gapped)
             if found is not None and (best is None or found.score > best.score):
                 best = found
             if best is not None and best.score >= GOOD_SCORE:
@@ -90,10 +93,10 @@ def find_chart(capture: Capture) -> FoundChart:
     return best
 
 
-def _refusal(capture: Capture, tried: list[int], best: FoundChart | None) -> str:
+def _refusal(capture: Capture, tried: list[tuple[int, bool]], best: FoundChart | None) -> str:
     levels = [float(np.percentile(plane_view(capture, p)[0], 99.5)) - plane_black_dn(capture, p) for p in planes_of(capture)]
     seen = "nothing chart-like was found" if best is None else f"the best candidate's colours fit with {best.score:.2f}"
-    bins = ", ".join(str(b) for b in tried)
+    bins = ", ".join(str(b) for b in sorted({b for b, _ in tried}))
     return (
         f"no 24-patch chart in the capture of {capture.mosaic.shape[0]} x {capture.mosaic.shape[1]} pixels: {seen} "
         f"(needed {LEAST_SCORE}; binned by {bins}; brightest 0.5 % reach {min(levels):.0f}..{max(levels):.0f} DN above black); "
@@ -101,14 +104,19 @@ def _refusal(capture: Capture, tried: list[int], best: FoundChart | None) -> str
     )
 
 
-def _find_in(linear: Float, percentile: float, bin_px: int) -> FoundChart | None:
+def _find_in(linear: Float, percentile: float, bin_px: int, *, gapped: bool) -> FoundChart | None:
+    """One attempt; ``gapped`` first darkens every colour border, so that touching patches come apart."""
     import cv2
 
     mcc: Any = cv2.mcc  # type: ignore[attr-defined,unused-ignore]
     detector = mcc.CCheckerDetector_create()
     detector.setColorChartType(mcc.MCC24)
     try:
-        if not detector.process(encode(linear, percentile), 1):
+        picture = encode(linear, percentile)
+        if gapped:
+            spread = cv2.morphologyEx(cv2.medianBlur(picture, 5), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)).max(axis=2)
+            picture[cv2.dilate((spread > BORDER_STEP).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = 0
+        if not detector.process(picture, 1):
             return None
         checker = detector.getBestColorChecker()
     except cv2.error:
@@ -116,6 +124,9 @@ def _find_in(linear: Float, percentile: float, bin_px: int) -> FoundChart | None
     if checker is None:
         return None
     centers = np.asarray(checker.getColorCharts(), dtype=float).reshape(24, 4, 2).mean(axis=1)[:, ::-1]
+    centers, uneven = refine_centers(linear, centers)
+    if uneven > MOST_UNEVEN:
+        return None
     rgb = _sample(linear, centers)
     scores = {name: match_score(rgb[order]) for name, order in arrangements().items()}
     ranked = sorted(scores, key=lambda name: -scores[name])

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-SUBSETS = 300
+SUBSETS = 120
 SUBSET_PATCHES = 4
 CORE_SHARE = 0.6
 LEVEL = 0.01
@@ -125,15 +125,16 @@ def _trimmed_start(rows: Rows, rng: np.random.Generator) -> Float:
     count = len(rows.patches)
     core = max(SUBSET_PATCHES, round(CORE_SHARE * count))
     chosen = np.zeros((SUBSETS, count))
-    for k in range(SUBSETS):
-        chosen[k, rng.choice(count, SUBSET_PATCHES, replace=False)] = 1
+    np.put_along_axis(chosen, np.argsort(rng.random((SUBSETS, count)), axis=1)[:, :SUBSET_PATCHES], 1.0, axis=1)
     best = np.zeros((3, 3))
     for _ in range(8):
-        total, right = np.einsum("sp,pjab->sjab", chosen, gram), np.einsum("sp,pja->sja", chosen, moment)
+        total = (chosen @ gram.reshape(count, -1)).reshape(SUBSETS, 3, 3, 3)
+        right = (chosen @ moment.reshape(count, -1)).reshape(SUBSETS, 3, 3)
         ridge = 1e-9 * np.trace(total, axis1=2, axis2=3)[..., None, None] * np.eye(3)
         columns = np.linalg.solve(total + ridge, right[..., None])[..., 0]
-        misfit = square.sum(axis=1)[None] - 2 * np.einsum("sja,pja->sp", columns, moment)
-        misfit += np.einsum("sja,pjab,sjb->sp", columns, gram, columns)
+        misfit = square.sum(axis=1)[None] - 2 * columns.reshape(SUBSETS, -1) @ moment.reshape(count, -1).T
+        outer = columns[..., :, None] * columns[..., None, :]
+        misfit += outer.reshape(SUBSETS, -1) @ gram.reshape(count, -1).T
         order = np.argsort(misfit, axis=1)[:, :core]
         cost = np.take_along_axis(misfit, order, axis=1).sum(axis=1)
         best = columns[int(np.argmin(cost))].T

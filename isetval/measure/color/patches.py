@@ -18,6 +18,7 @@ CUT_SIGMAS = 4.0
 # E[d^2 | |d| < 4 sigma] / sigma^2 of a normal deviate
 CUT_SHARE = 1 - 2 * CUT_SIGMAS * 1.3383022576488537e-4 / 0.9999366575163338
 BAD_SIGMAS = 6.0
+LEAST_VARIANCE = 1 / 12  # of the rounding to whole DN
 # relative variance of the variance from row and column neighbour differences is 2.5 / pixels
 DIFFERENCE_VARIANCE_FACTOR = 2.5
 
@@ -119,7 +120,8 @@ def difference_variance(values: Float, mask: Bool | None = None) -> Float:
     robust = np.nanmedian(square, axis=1) / 0.45493642311957283
     cut = np.where(robust > 0.5, CUT_SIGMAS**2 * robust, np.maximum(CUT_SIGMAS**2 * plain, 1.0))
     inside = square <= cut[:, None]
-    return np.asarray(np.where(inside, square, 0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1) / (2 * CUT_SHARE))
+    half = np.where(inside, square, 0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1) / (2 * CUT_SHARE)
+    return np.asarray(np.maximum(half, LEAST_VARIANCE))
 
 
 def patch_statistics(stack: NDArray[np.uint16], *, black_dn: float, white_dn: float) -> tuple[NDArray[np.generic], ...]:
