@@ -199,7 +199,11 @@ def _input(effect: Effect, context: Context, dtype: Any = np.float64) -> Signal:
     row, col = np.mgrid[row0 : row0 + rows, col0 : col0 + cols]
     wave = np.sin(row / 7.0) * np.cos(col / 9.0)
     if effect.acts_on == "dn":
-        values = (80 + 40 * wave)[None] if effect.stage == "electronics" else np.rint(80 + 40 * wave + 9 * ((7 * row + 13 * col) % 5))[None]
+        values = (
+            (80 + 40 * wave)[None]
+            if effect.stage == "electronics"
+            else np.rint(80 + 40 * wave + 9 * ((7 * row + 13 * col) % 5))[None]
+        )
     else:
         channels = np.array([1, 2, 1.5]) if effect.stage == "pixel" else np.ones(1)
         values = channels[:, None, None] * (2000 + 1500 * wave)
@@ -207,15 +211,15 @@ def _input(effect: Effect, context: Context, dtype: Any = np.float64) -> Signal:
 
 
 def _seen(signal: Signal, effect: Effect, context: Context) -> Array:
-    """What a signal holds, (channels, rows, cols); light in front of the pixel is seen through a flat QE."""
+    """What a signal holds, (channels, rows, cols); light in front of the pixel is seen through a rising QE."""
     from isetval.effects.color import QuantumEfficiency
 
-    class Flat(QuantumEfficiency):
+    class Rising(QuantumEfficiency):
         def curves(self, context: Context, wavelength_nm: Array) -> Array:
-            return np.ones((3, wavelength_nm.size))
+            return np.ones((3, 1)) * (wavelength_nm / 1000)[None]
 
     if effect.stage == "pixel" and signal.unit == "irradiance":
-        signal = Flat().apply(signal, context)
+        signal = Rising().apply(signal, context)
     values = signal.values
     return np.broadcast_to(values, (values.shape[0], *context.window[2:]))
 

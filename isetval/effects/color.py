@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter, table_file
 from isetval.core.errors import InputError
-from isetval.core.signal import Layer, Signal
+from isetval.core.signal import Signal
 from isetval.core.spectrum import Spectrum, read_spectra
 
 Float = NDArray[np.float64]
@@ -24,10 +24,19 @@ CHANNELS = ("R", "G", "B")
 
 
 @dataclass(frozen=True, eq=False)
-class LeakySignal(Signal):
-    """Irradiance that meets a quantum efficiency raised by ``leak`` above 700 nm."""
+class FilteredSignal(Signal):
+    """Irradiance that meets changed filters: a quantum efficiency raised by ``leak`` above 700 nm and moved by ``shift_nm``."""
 
     leak: float = 0.0
+    shift_nm: Float | None = None
+
+
+def _filtered(signal: Signal, *, leak: float = 0.0, shift_nm: Float | None = None) -> FilteredSignal:
+    """The signal with further changes of the filters."""
+    parts: dict[str, Any] = {field.name: getattr(signal, field.name) for field in fields(Signal)}
+    before = getattr(signal, "shift_nm", None)
+    shift = before if shift_nm is None else shift_nm if before is None else before + shift_nm
+    return FilteredSignal(**parts, leak=getattr(signal, "leak", 0.0) + leak, shift_nm=shift)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +44,8 @@ class CfaAngleShift(Effect):
     """Colour-filter curves that move with the angle of incidence: a colour residual growing with r.
 
     Confounded with an error of the light's spectrum, which does not depend on the place in the field.
-    Applied as QE(lambda - Delta) = a spectrum moved by -Delta under the unmoved QE, photon numbers kept;
-    linear between bands.  Stands before quantum_efficiency.
+    Interference filters move to shorter wavelengths: delta < 0.  Stands before quantum_efficiency,
+    which moves its curves (linear between whole nanometres).
     """
 
     name = "cfa_angle_shift"
@@ -51,36 +60,8 @@ class CfaAngleShift(Effect):
     delta_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=5.0, doc="shift of the QE at the corner")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Move the spectrum of every layer by the shift of each pixel."""
-        if not self.delta_nm or signal.wavelength_nm is None or signal.wavelength_nm.size < 2:
-            return signal
-        shift = self.delta_nm * context.field_radius() ** 2
-        layers = tuple(Layer(_moved(layer.amplitude, signal.wavelength_nm, shift), layer.structure) for layer in signal.layers)
-        return replace(signal, layers=layers)
-
-
-def _moved(amplitude: Float, grid: Float, shift_nm: Float) -> Float:
-    """Spectra whose photon numbers at lambda are those of ``amplitude`` at lambda + shift; (bands, rows, cols).
-
-    Shifts between two nodes are interpolated, which is exact for linear interpolation between even bands.
-    """
-    photons = np.asarray(amplitude) * grid[:, None, None]
-    gaps = np.diff(grid)
-    step = float(gaps[0]) if np.allclose(gaps, gaps[0]) else 1.0
-    nodes = np.unique(np.floor(shift_nm / step))
-    out = np.zeros(np.broadcast_shapes(photons.shape, (1, *shift_nm.shape)))
-    for node in np.union1d(nodes, nodes + 1):
-        weight = np.maximum(0.0, 1 - np.abs(shift_nm / step - node))
-        out += weight[None] * _resampled(photons, grid, float(node * step))
-    return np.asarray(out / grid[:, None, None])
-
-
-def _resampled(photons: Float, grid: Float, shift: float) -> Float:
-    """Linear interpolation along the bands at lambda + shift, ends held."""
-    wanted = np.clip(grid + shift, grid[0], grid[-1])
-    right = np.clip(np.searchsorted(grid, wanted), 1, grid.size - 1)
-    t = ((wanted - grid[right - 1]) / (grid[right] - grid[right - 1]))[:, None, None]
-    return np.asarray((1 - t) * photons[right - 1] + t * photons[right])
+        """Mark the light for quantum_efficiency."""
+        return _filtered(signal, shift_nm=self.delta_nm * context.field_radius() ** 2) if self.delta_nm else signal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,10 +84,7 @@ class IrLeak(Effect):
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Mark the light for quantum_efficiency."""
-        if not self.eps:
-            return signal
-        parts: dict[str, Any] = {field.name: getattr(signal, field.name) for field in fields(Signal)}
-        return LeakySignal(**parts, leak=self.eps + getattr(signal, "leak", 0.0))
+        return _filtered(signal, leak=self.eps) if self.eps else signal
 
 
 @lru_cache(maxsize=32)
@@ -171,13 +149,19 @@ class QuantumEfficiency(Effect):
         grid = signal.wavelength_nm
         if grid is None:
             raise InputError("effect quantum_efficiency: the light carries no wavelengths; give the signal wavelength_nm")
-        curves = self.curves(context, grid) + getattr(signal, "leak", 0.0) * (grid > LEAK_ABOVE_NM)
         area_m2 = (context.sensor.pixel_um * 1e-6) ** 2
         photons = grid * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S) * area_m2 * context.time_s() * _trapezoid(grid)
+        leak = getattr(signal, "leak", 0.0) * (grid > LEAK_ABOVE_NM)
+        shift = getattr(signal, "shift_nm", None)
         values = signal.values
         if values.shape[0] == 1 and grid.size > 1:
             values = np.broadcast_to(values, (grid.size, *values.shape[1:]))
-        return signal.with_values(np.tensordot(curves * photons, values, axes=1), "electron")
+        nodes = np.zeros(1) if shift is None else np.unique(np.floor(shift))
+        total: Any = 0.0
+        for node in np.union1d(nodes, nodes + 1) if shift is not None else nodes:
+            weight = 1.0 if shift is None else np.maximum(0.0, 1 - np.abs(shift - node))
+            total = total + weight * np.tensordot((self.curves(context, grid - node) + leak) * photons, values, axes=1)
+        return signal.with_values(np.asarray(total), "electron")
 
 
 @dataclass(frozen=True, kw_only=True)
