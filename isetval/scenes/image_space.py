@@ -107,7 +107,7 @@ class _FineGrid:
         radiance, variance, depth = self._warp(x, y)
         pad = self.halo * self.s
         inner = (slice(pad, x.shape[0] - pad), slice(pad, x.shape[1] - pad))
-        middle = (float(x.mean()), float(y.mean()))
+        places = _places(x[inner], y[inner])
         layers = self._layers(depth)
         mean, noise = np.empty((2, len(self.bands), block[2], block[3]))
         pixel = light_factor * self._factor(x[inner], y[inner])
@@ -115,9 +115,10 @@ class _FineGrid:
         for i, wavelength in enumerate(self.bands):
             key = self.view.lens.table(wavelength).wavelength_nm
             if key not in spots:
-                spots[key] = [Spot.at(self.view, middle, d, wavelength_nm=wavelength) for d in layers]
-            otfs = [s.otf(x.shape, self.pitch, wavelength if diffraction else None) for s in spots[key]]
-            self._check_halo(spots[key])
+                spots[key] = [[Spot.at(self.view, p, d, wavelength_nm=wavelength) for p in places] for d in layers]
+                self._check_halo([spot for layer in spots[key] for spot in layer])
+            light = wavelength if diffraction else None
+            otfs = [np.mean([s.otf(x.shape, self.pitch, light) for s in layer], axis=0) for layer in spots[key]]
             mean[i] = self._bin(_composite(radiance[i], depth, layers, otfs)[inner] * pixel)
             nearest = otfs[int(np.argmin(np.abs(np.subtract(layers, np.median(depth)))))]
             noise[i] = self._bin_variance(variance[i], nearest)[inner][:: self.s, :: self.s] * self._bin(pixel) ** 2
@@ -193,6 +194,14 @@ class _FineGrid:
         return np.maximum(np.fft.irfft2(np.fft.rfft2(variance) * np.fft.rfft2(square), s=(rows, cols)), 0.0)
 
 
+def _places(x: Float, y: Float) -> list[tuple[float, float]]:
+    """Where the blur of a block is taken: its middle, or the mean of four points of a block that holds the axis."""
+    middle, reach = (x.mean(), y.mean()), (np.ptp(x) / np.sqrt(12), np.ptp(y) / np.sqrt(12))
+    if np.hypot(*middle) > 2 * np.hypot(*reach):
+        return [(float(middle[0]), float(middle[1]))]
+    return [(float(middle[0] + i * reach[0]), float(middle[1] + j * reach[1])) for i in (-1, 1) for j in (-1, 1)]
+
+
 def _composite(radiance: Float, depth: Float, layers: list[float], otfs: list[Complex]) -> Float:
     """Blur layer by layer, far to near; a nearer layer covers what lies behind by its blurred mask."""
     if len(layers) == 1:
@@ -244,11 +253,9 @@ class Spot:
         slope = rays.direction[:2] / rays.direction[2]
         depth_mm = depth_m * 1e3
         seen = -(rays.origin_mm[:2] + slope * (view.pupil_z_mm + depth_mm - rays.origin_mm[2])) / depth_mm
-        tangent = np.hypot(*seen)
-        heights = np.concatenate([view.heights_mm, view.heights_mm[-1] * np.array([1.02, 1.05])])
-        height = np.interp(tangent, view.scene_tangent(heights, depth_m), heights)
-        place = seen * (height / np.where(tangent > 0, tangent, 1.0))
-        offset = place - np.array([[0.0], [r]])
+        mean = (seen * share).sum(axis=1)
+        radial, sagittal = view.tangent_per_mm(r, depth_m)
+        offset = np.stack([seen[0] / sagittal, (seen[1] - mean[1]) / radial])
         angle = math.pi / 2 - math.atan2(point_mm[1], point_mm[0]) if r > 0 else 0.0
         turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         return cls(turn @ offset, share, turn @ _film_cosines(view, r, wavelength_nm))

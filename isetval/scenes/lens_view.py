@@ -169,6 +169,16 @@ class LensView:
         crossing = _smooth(self.heights_mm, self.crossing_mm, r)
         return np.asarray(slope + crossing / (np.asarray(depth_m, float) * 1e3))
 
+    def tangent_per_mm(self, r_mm: float, depth_m: float) -> tuple[float, float]:
+        """Change of the scene's tangent per mm of film, along the radius and across it.
+
+        Taken no nearer to the axis than a tenth of the reach, where a fitted polynomial may have a kink.
+        """
+        r, step = max(r_mm, 0.1 * float(self.heights_mm[-1])), 0.01 * float(self.heights_mm[-1])
+        low, here, high = self.scene_tangent(np.array([r - step, r, r + step]), depth_m)
+        across = here / r if r_mm >= r else (high - low) / (2 * step)
+        return float((high - low) / (2 * step)), float(across)
+
     def object_m(self, depth_m: float) -> float:
         """Distance from the front vertex of something at a depth from the entrance pupil."""
         return depth_m - (self.lens.thickness_mm - self.pupil_z_mm) * 1e-3
