@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isetval.core.capture import Capture, Roi, planes_of
-from isetval.core.errors import InputError
+from isetval.core.errors import InputError, MeasurementError
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.reference import DarkLevel, dark_level
 from isetval.measure.noise.statistics import check_frames
@@ -120,6 +120,11 @@ def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
     var - 1/12 (see ``quantized``).
     """
     check_frames(captures)
+    if all(c.mosaic.min() == c.mosaic.max() for c in captures):
+        raise MeasurementError(
+            f"all {len(captures)} dark frames hold one value each (the first {int(captures[0].mosaic.flat[0])} DN); dark "
+            "analysis needs noise around a black pedestal: the frames are clipped, empty or not raw"
+        )
     return Dark({plane: _plane_dark(captures, plane, roi) for plane in planes_of(captures[0])})
 
 

@@ -22,7 +22,6 @@ from isetval.measure.noise.moments import Moments
 from isetval.measure.noise.quantity import Quantity
 
 Float = NDArray[np.float64]
-OUTLIER_SD = 6.0
 MAX_OUTLIER_SHARE = 0.2
 
 
@@ -89,7 +88,7 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: fl
     """
     average = moments.average
     residual, surface, gain = _flatten(average, degree, relative)
-    bad = np.abs(residual) > OUTLIER_SD * max(robust_sd(residual), 1e-12)
+    bad = np.abs(residual) > moments.outlier_limit(robust_sd(residual))
     outliers = int(bad.sum())
     masked = 0 < outliers < MAX_OUTLIER_SHARE * residual.size
     variance = moments.pixel_variance
@@ -165,7 +164,7 @@ def _assemble(
     # the specimen's share: the same mean squares without the temporal residue
     own = np.maximum(mean_squares - residue - np.array([0.0, cols * row_residue, 0.0]), 0.0)
     specimen = np.diag((to_parts * (spread * own**2 / dof)) @ to_parts.T)
-    variance = np.maximum(np.diag(covariance), 1e-300)
+    variance = np.maximum(np.diag(covariance), 1e-30)
     shared = np.minimum(specimen, variance)
     quantities = [
         Quantity(float(v), float(np.sqrt(total - part)), "DN^2", float(np.sqrt(part)))

@@ -66,6 +66,9 @@ def group(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Ca
     means = {id(c): frame_mean(c, roi) for c in everything}
     notes: list[str] = []
     chosen = list(dark) if dark is not None else _find_dark(captures, means, roi)
+    if chosen and all(c.mosaic.min() == c.mosaic.max() for c in chosen):
+        notes.append("dark_frames_all_equal")
+        captures, chosen = [c for c in captures if c not in chosen], []
     taken = {id(c) for c in chosen}
     rest = [c for c in captures if id(c) not in taken]
     if not chosen:

@@ -122,7 +122,7 @@ def _pattern(moments: Moments, row: Quantity) -> FixedPattern:
 def _defects(moments: Moments, known: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
     """Pixels that stand out of the smooth field or are noisy, joined with those known from the dark."""
     rest = moments.average - fit_surface(moments.average, surface_degree(moments.shape))
-    bad = np.asarray(np.abs(rest) > 6 * max(robust_sd(rest), 1e-6))
+    bad = np.asarray(np.abs(rest) > moments.outlier_limit(robust_sd(rest)))
     bad |= moments.pixel_variance > noisy_limit(moments)
     if known is not None and known.shape == bad.shape:
         bad |= known
@@ -151,7 +151,7 @@ def _level(
     row, frame = line_scatter(sums.row_means, variance, sums.cols, sigma)
     spread = max(sums.spread_dn2 - variance / frames, 0.0)
     measured = Quantity(variance, moments.temporal.sigma if moments is not None else sigma, "DN^2")
-    exact = _exact_rounding(views, measured, spread)
+    exact = _exact_rounding(views, measured, spread, bad)
     drift = float(np.mean((sums.row_means - sums.row_means.mean(axis=0)) ** 2))
     white = captures[0].sensor.white_dn
     return Level(
@@ -174,13 +174,15 @@ def _level(
     )
 
 
-def _exact_rounding(views: Sequence[NDArray[np.uint16]], variance: Quantity, spread: float) -> Quantity:
+def _exact_rounding(
+    views: Sequence[NDArray[np.uint16]], variance: Quantity, spread: float, bad: NDArray[np.bool_] | None
+) -> Quantity:
     """Temporal variance as it would be if rounding added exactly 1/12 (it does not below about .7 DN)."""
     if variance.value > ROUNDED_BELOW_DN2:
         return variance
     if spread > SMALL_SPREAD_DN**2:
         return Quantity(unrounded_variance(variance.value) + 1 / 12, variance.sigma, "DN^2")
-    exact = fit_quantized(views).temporal_variance_dn2
+    exact = fit_quantized(views, bad).temporal_variance_dn2
     # the skewness of few electrons shifts the fit of a normal distribution by a percent or two
     return Quantity(exact.value + 1 / 12, math.hypot(exact.sigma, SKEWNESS_ERROR * exact.value), "DN^2")
 

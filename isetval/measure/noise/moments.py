@@ -75,6 +75,28 @@ class Moments:
         spread = max(float(flat @ flat) / pixels.size - mean**2, 0.0)
         return Quantity(mean, float(np.sqrt(spread / pixels.size)), "DN^2")
 
+    @cached_property
+    def bulk_variance(self) -> float:
+        """Temporal variance of the pixels that are not wildly noisy, DN^2 (nan with one frame)."""
+        if self.frames < 2:
+            return float("nan")
+        pixels = self.pixel_variance
+        limit = 10 * self.temporal.value
+        for _ in range(2):
+            kept = pixels[pixels <= limit]
+            center = float(kept.mean(dtype=np.float64)) if kept.size else 0.0
+            limit = max(40 * center, 1.0)
+        return center
+
+    def outlier_limit(self, spread: float) -> float:
+        """Distance from the smooth field that a normal pixel of the mean image keeps, DN (6 sd).
+
+        ``spread`` is a robust sd of the mean image; where codes are coarse it may be nothing, so noise and rounding
+        hold it up.
+        """
+        noise = self.bulk_variance if self.frames > 1 else 0.0
+        return 6 * max(spread, float(np.sqrt(max(noise, 1 / 12) / self.frames)))
+
     @property
     def frame_means(self) -> Float:
         """Mean of every frame, (frames,), DN above black."""

@@ -63,15 +63,16 @@ def unrounded_variance(measured: float) -> float:
     return ((low + high) / 2) ** 2
 
 
-def fit_quantized(views: Sequence[NDArray[Any]]) -> QuantizedNoise:
+def fit_quantized(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None = None) -> QuantizedNoise:
     """Maximum-likelihood dark noise of two or more frames of one plane.
 
     Parameters
     ----------
     views : sequence of uint16 arrays (rows, cols)
-        Raw DN.  Pixels that leave the bulk of the histogram by more than eight robust sd are left out.
+        Raw DN.  Pixels that leave the bulk of the histogram by more than eight robust sd are left out,
+        as are those marked in ``bad``.
     """
-    codes, first = _pixel_codes(views)
+    codes, first = _pixel_codes(views, bad)
     patterns, numbers = _patterns(codes)
     start = _start(codes, first)
     data = (patterns, numbers, first, first == 0)
@@ -87,13 +88,15 @@ def fit_quantized(views: Sequence[NDArray[Any]]) -> QuantizedNoise:
     )
 
 
-def _pixel_codes(views: Sequence[NDArray[Any]]) -> tuple[NDArray[np.int64], int]:
+def _pixel_codes(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None) -> tuple[NDArray[np.int64], int]:
     """Codes (pixels, frames) counted from the lowest kept code, and that code."""
     step = -(-views[0].size // MAX_PIXELS)
     rows = slice(None, None, step) if views[0].shape[0] >= 8 * step else slice(None)
     stack = np.stack([view[rows].astype(np.int64).ravel() for view in views], axis=1)
-    center = float(np.median(stack[:, 0]))
-    spread = max(float(np.mean(np.abs(stack[:, 0] - center))) * 1.25, 0.5)
+    if bad is not None and not bad[rows].all():
+        stack = stack[~bad[rows].ravel()]
+    center = float(np.median(stack))
+    spread = max(1.4826 * float(np.median(np.abs(stack - center))), 0.5)
     keep = np.all(np.abs(stack - center) <= max(8 * spread, 2), axis=1)
     kept = stack[keep]
     first = int(kept.min())

@@ -82,7 +82,7 @@ def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None) 
     flags = []
     exact = None
     if len(views) > 1 and (plain.value < EXACT_BELOW_DN**2 or clipped > CLIPPED_SHARE):
-        exact = fit_quantized(views)
+        exact = fit_quantized(views, defects)
     read, total, dsnu = _variances(moments, plain, exact, row, frame, fixed)
     mean, mean_sigma = _mean_without(moments, defects, plain)
     black = Quantity(tag + mean, mean_sigma, "DN", math.sqrt(max(dsnu.value, 0.0) / moments.average.size))
@@ -138,7 +138,7 @@ def moments_without(moments: Moments, bad: NDArray[np.bool_]) -> Quantity:
 def _defects(moments: Moments, fixed: FixedPattern) -> NDArray[np.bool_]:
     """Pixels that stand more than 6 robust sd and more than one noise sd out of the mean dark image."""
     rest = moments.average - fixed.surface
-    limit = 6 * max(math.sqrt(max(fixed.pixel.value, 0.0)), robust_sd(rest), 0.02)
+    limit = moments.outlier_limit(max(math.sqrt(max(fixed.pixel.value, 0.0)), robust_sd(rest)))
     return np.asarray(np.abs(rest) > limit)
 
 

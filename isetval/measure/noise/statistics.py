@@ -236,12 +236,9 @@ def noisy_fraction(moments: Moments) -> Quantity:
 def noisy_limit(moments: Moments) -> float:
     """Temporal variance that a pixel of a normal plane passes once in about 1e8."""
     dof = moments.frames - 1
-    pixels = moments.pixel_variance
-    center = float(pixels.mean(dtype=np.float64))
-    center = float(pixels[pixels < 10 * center].mean(dtype=np.float64)) if center > 0 else 0.0
     # Wilson and Hilferty: chi2 / dof ~ (1 - 2/(9 dof) + z sqrt(2/(9 dof)))^3 with z = 5.6
     factor = (1 - 2 / (9 * dof) + 5.6 * math.sqrt(2 / (9 * dof))) ** 3
-    return 1.2 * factor * max(center, 1 / 12)
+    return 1.2 * factor * max(moments.bulk_variance, 1 / 12)
 
 
 def trimmed_temporal(moments: Moments, clean: Moments) -> Quantity:

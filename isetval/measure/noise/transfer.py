@@ -244,11 +244,14 @@ def _default(
 
 
 def _bend(fit: CurveFit, response: Response | None) -> Quantity:
-    """Coefficient c of the variance curve; of the straightened one where the response is known."""
+    """Coefficient c of the quadratic fit, or of the straightened one where the response is known; never averaged."""
     if response is not None and "straight2" in fit.fits:
         best = fit.fits["straight2"]
-        return Quantity(float(best.coefficients[2]), math.sqrt(float(best.covariance[2, 2])))
-    return Quantity(fit.quadratic, fit.quadratic_sigma)
+    elif "quadratic" in fit.fits:
+        best = fit.fits["quadratic"]
+    else:
+        return Quantity(fit.quadratic, fit.quadratic_sigma)
+    return Quantity(float(best.coefficients[2]), math.sqrt(float(best.covariance[2, 2])))
 
 
 def _timed(used: Sequence[Level]) -> bool:

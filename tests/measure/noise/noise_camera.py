@@ -1,4 +1,4 @@
-"""A little camera for these tests: electrons by Poisson draws, fixed patterns, one converter; nothing from isetval but Capture."""
+"""A little camera for these tests: electrons by Poisson draws, fixed patterns, one converter; no isetval."""
 
 from __future__ import annotations
 

@@ -86,7 +86,9 @@ def test_row_noise_and_its_fixed_partner_are_told_apart():
         # a variance from n lines has a relative error sqrt(2 / n); row noise leaves 6^2 / 8 of itself in the mean
         assert abs(found[name].value / truth - 1) < 4 * np.sqrt(2 / lines) * (1 + 36 / 8 / 81)
     pixel = (READ_E * GAIN) ** 2 + 1 / 12
-    assert abs(found["temporal_variance_dn2"].value / pixel - 1) < 4 * np.sqrt(2 / (256 * 128 * 7)) + 0.02  # 2 %: rounding at .5 DN
+    assert (
+        abs(found["temporal_variance_dn2"].value / pixel - 1) < 4 * np.sqrt(2 / (256 * 128 * 7)) + 0.02
+    )  # 2 %: rounding at .5 DN
 
 
 def test_neighbour_covariance_sees_shared_charge_across_colors():
