@@ -14,7 +14,7 @@ from isetval.core.errors import InputError, MeasurementError
 from isetval.measure.shading.assemble import build_result
 from isetval.measure.shading.blocks import Blocks, join_blocks, measure_blocks
 from isetval.measure.shading.order import chi2_by_order, choose_polynomial, choose_spline, tilt_is_needed
-from isetval.measure.shading.radial import HIGHEST_ORDER, Radial
+from isetval.measure.shading.radial import HIGHEST_ORDER, SPLINE_INTERVALS, Radial
 from isetval.measure.shading.results import RelativeIllumination
 from isetval.measure.shading.surface import GEOMETRIES, Points, Surface, block_bias, evaluate, fit_surface
 
@@ -29,7 +29,7 @@ class Fitted:
     """Everything the result is built from: data, surface and what was chosen.
 
     ``common`` and ``single`` are fits of one and the same basis with shared and with own geometry; ``shorter`` is the
-    fit one order lower where the data could not carry a spare order: its distance is counted as truncation error.
+    next poorer fit where no spare order was possible or a spline was needed: its distance counts as truncation error.
     """
 
     blocks: Mapping[str, Blocks]
@@ -272,16 +272,25 @@ def fit_blocks(
         radial = choose_spline(kept, finest, reach_mm=reach) or shape
     final = fit_surface(kept, radial=radial, geometry=name, start=surface.geometry)
     shape = radial if radial.kind == "polynomial" else shape
-    shorter = None
-    if order is None and radial.kind == "polynomial" and 1 < radial.order == richest.order:
-        lower = Radial("polynomial", radial.order - 1, radius)
-        shorter = fit_surface(kept, radial=lower, geometry=name, start=surface.geometry, steps=3)
+    shorter = None if order is not None else _shorter(kept, final, richest, name)
     common = final if shape is radial else fit_surface(kept, radial=shape, geometry=name, start=surface.geometry, steps=4)
     single = {
         p: fit_surface([part], radial=shape, geometry=name, start=surface.geometry, steps=3)
         for p, part in zip(points, kept, strict=True)
     }
     return Fitted(blocks, points, keep, scale, final, common, single, by_order, name, radial, reach, shorter, notes)
+
+
+def _shorter(kept: Sequence[Points], final: Surface, richest: Radial, geometry: str) -> Surface | None:
+    """The next poorer fit where the data show or allow structure beyond the basis: at the last order, or a spline."""
+    radial = final.radial
+    if radial.kind == "polynomial":
+        if not 1 < radial.order == richest.order:
+            return None
+        lower = Radial("polynomial", radial.order - 1, radial.radius_mm)
+        return fit_surface(kept, radial=lower, geometry=geometry, start=final.geometry, steps=3)
+    coarser = [n for n in SPLINE_INTERVALS if n < radial.order][-1]
+    return fit_surface(kept, radial=Radial("spline", coarser, radial.radius_mm), geometry="none", start=final.geometry)
 
 
 def _reach_mm(points: Iterable[Points], surface: Surface, pixel_um: float) -> float:

@@ -169,9 +169,8 @@ def fit_surface(
     """
     free = GEOMETRIES[geometry]
     place = np.zeros(4) if start is None else np.array(start, dtype=float)
-    held = [j for j in range(4) if j not in free]
-    if start is not None:
-        place[[j for j in held if j >= 2]] = 0.0
+    if geometry == "center":
+        place[2:] = 0.0
     _, parts, covariance = _step(planes, place, [None] * len(planes), radial=radial, free=())
     converged = not free
     for _ in range(steps if free else 0):

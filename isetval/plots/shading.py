@@ -1,0 +1,96 @@
+"""Plots of relative illumination: curves with sigma, residual map, colour shading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLORS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "B": "tab:blue", "MONO": "black"}
+
+
+def falloff_figure(result: Any, *, predictions: Mapping[str, tuple[Any, Any]] | None = None) -> Figure:
+    """Four panels of a ``RelativeIllumination``: curves, difference to predictions, colour shading, residual map.
+
+    Parameters
+    ----------
+    result : RelativeIllumination
+    predictions : mapping of label to (radius_mm, relative illumination), optional
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    axes = figure.subplots(2, 2)
+    _curves(axes[0, 0], result, predictions or {})
+    _differences(axes[0, 1], result, predictions or {})
+    _ratios(axes[1, 0], result)
+    _residual_map(figure, axes[1, 1], result)
+    row, col = result.center_px
+    figure.suptitle(
+        f"centre (row, col) {row:.1f}, {col:.1f} px; {result.basis} of order {result.order}; chi2/dof {result.chi2_dof:.3f}"
+    )
+    return figure
+
+
+def _curves(axis: Axes, result: Any, predictions: Mapping[str, tuple[Any, Any]]) -> None:
+    for name, plane in result.planes.items():
+        axis.plot(plane.radius_mm, plane.curve, color=COLORS.get(name), label=name, lw=1)
+        axis.errorbar(plane.ring_radius_mm, plane.ring, plane.ring_sigma, fmt=".", ms=3, color=COLORS.get(name))
+    for label, (radius, value) in predictions.items():
+        axis.plot(radius, value, "k--", lw=1, label=label)
+    _finish(axis, "relative illumination")
+
+
+def _differences(axis: Axes, result: Any, predictions: Mapping[str, tuple[Any, Any]]) -> None:
+    """Measured minus predicted in points; without a prediction, ring means minus curve."""
+    for name, plane in result.planes.items():
+        color = COLORS.get(name)
+        if not predictions:
+            rings = np.clip(plane.ring_radius_mm, 0, plane.radius_mm[-1])
+            axis.errorbar(rings, 100 * (plane.ring - plane.at(rings)[0]), 100 * plane.ring_sigma, fmt=".", ms=3, color=color)
+            continue
+        radius, value = next(iter(predictions.values()))
+        difference = 100 * (plane.curve - np.interp(plane.radius_mm, radius, value))
+        axis.plot(plane.radius_mm, difference, color=color, label=name)
+        axis.fill_between(
+            plane.radius_mm, difference - 100 * plane.sigma, difference + 100 * plane.sigma, color=color, alpha=0.2, lw=0
+        )
+    axis.axhline(0, color="gray", lw=0.8)
+    _finish(axis, f"minus {next(iter(predictions))} (points)" if predictions else "rings minus curve (points)")
+
+
+def _ratios(axis: Axes, result: Any) -> None:
+    colors = ("tab:red", "tab:blue", "tab:green")
+    for color, (name, shading) in zip(colors, result.color_shading.items(), strict=False):
+        axis.plot(shading.radius_mm, shading.ratio, color=color, label=name)
+        axis.fill_between(
+            shading.radius_mm, shading.ratio - shading.sigma, shading.ratio + shading.sigma, color=color, alpha=0.2, lw=0
+        )
+    _finish(axis, "colour shading")
+
+
+def _residual_map(figure: Figure, axis: Axes, result: Any) -> None:
+    """Residual over sigma of the plane with most light."""
+    name, plane = max(result.planes.items(), key=lambda item: item[1].signal_dn)
+    z = (plane.map - plane.model) / plane.map_sigma
+    drawn = axis.scatter(plane.map_col_px.ravel(), plane.map_row_px.ravel(), c=z.ravel(), s=4, vmin=-4, vmax=4, cmap="RdBu_r")
+    axis.plot(result.center_px[1], result.center_px[0], "k+")
+    axis.invert_yaxis()
+    axis.set_aspect("equal")
+    axis.set_xlabel("column (px)")
+    axis.set_ylabel("row (px)")
+    axis.set_title(f"{name}: residual / sigma", fontsize="medium")
+    figure.colorbar(drawn, ax=axis, shrink=0.8)
+
+
+def _finish(axis: Axes, label: str) -> None:
+    axis.set_xlabel("distance from the fitted centre (mm)")
+    axis.set_ylabel(label)
+    axis.grid(alpha=0.3)
+    if axis.get_legend_handles_labels()[1]:
+        axis.legend(fontsize="small")
