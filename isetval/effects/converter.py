@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
-from isetval.core.sensor import black_at, plane_position
+from isetval.core.sensor import black_at
 from isetval.core.signal import Signal
 
 Array = NDArray[Any]
@@ -76,45 +76,16 @@ class ConversionGain(Effect):
     acts_on = "electron"
     gives = "dn"
     order = 70.0
-    equation = "DN = g N"
+    equation = "DN = g (ISO / base ISO) N"
     reference = "EMVA Standard 1288 Release 4.0, eq. 8 (overall system gain K)"
 
     gain_dn_per_e: float = parameter(1.0, unit="DN/e-", low=1e-6, high=1e4, tau=0.01, doc="conversion gain g")
+    base_iso: float = parameter(0.0, unit="ISO", low=0.0, high=1e6, shape=True, doc="ISO speed at which g holds (0: at all)")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Convert."""
-        return signal.with_values(signal.values * self.gain_dn_per_e, "dn")
-
-
-@dataclass(frozen=True, kw_only=True)
-class GrGbImbalance(Effect):
-    """Green pixels of red rows brighter than those of blue rows: a checkerboard, may grow with the field.
-
-    Nothing happens on a monochrome sensor.
-    """
-
-    name = "gr_gb_imbalance"
-    stage = "electronics"
-    acts_on = "dn"
-    gives = "dn"
-    order = 76.0
-    equation = "Gr x (1 + delta), Gb x (1 - delta), delta = center + corner r^2"
-    reference = "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006) (green imbalance)"
-    must_not_change = ("dark", "edge")
-
-    center: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.01, doc="imbalance in the middle")
-    corner: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.01, doc="further imbalance at the corner")
-
-    def apply(self, signal: Signal, context: Context) -> Signal:
-        """Scale the two greens."""
-        if not (self.center or self.corner) or context.sensor.cfa == "MONO":
-            return signal
-        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
-        delta = self.center + self.corner * context.field_radius() ** 2
-        for plane, sign in (("Gr", 1), ("Gb", -1)):
-            row, col = plane_position(context.sensor.cfa, plane, context.window[:2])
-            values[0, row::2, col::2] *= (1 + sign * delta[row::2, col::2]).astype(values.dtype)
-        return signal.with_values(values)
+        """Convert; with a base ISO the gain follows the shot's ISO speed where it states one."""
+        speed = context.exposure.iso / self.base_iso if self.base_iso and context.exposure.iso else 1.0
+        return signal.with_values(signal.values * (self.gain_dn_per_e * speed), "dn")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -101,7 +101,6 @@ class HotPixels(Effect):
     order = 24.0
     equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
     reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"
-    must_not_change = ("edge",)
 
     fraction: float = parameter(0.0, unit="1", low=0.0, high=0.5, tau=1e-3, doc="fraction of hot pixels")
     rate_e_per_s: float = parameter(100.0, unit="e-/s", low=0.0, high=1e6, shape=True, doc="mean rate of a hot pixel")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context, poisson
 from isetval.core.effect import Effect, parameter
+from isetval.core.sensor import plane_position
 from isetval.core.signal import Signal
 
 Array = NDArray[Any]
@@ -28,6 +29,38 @@ def rare_pixels(context: Context, fraction: float) -> tuple[NDArray[np.bool_], A
     normal = context.fixed_normal()
     chosen = normal > -ndtri(fraction)
     return chosen, np.clip(ndtr(-normal[chosen].astype(np.float64)) / fraction, 1e-12, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrGbImbalance(Effect):
+    """Green pixels of red rows brighter than those of blue rows: a checkerboard, may grow with the field.
+
+    Light of red pixels that reaches their green neighbours: acts in front of shot noise, so darks stay.
+    Nothing happens on a monochrome sensor.
+    """
+
+    name = "gr_gb_imbalance"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 8.0
+    equation = "Gr x (1 + delta), Gb x (1 - delta), delta = center + corner r^2"
+    reference = "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006) (green imbalance)"
+    must_not_change = ("dark", "edge")
+
+    center: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.01, doc="imbalance in the middle")
+    corner: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.01, doc="further imbalance at the corner")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale the two greens."""
+        if not (self.center or self.corner) or context.sensor.cfa == "MONO":
+            return signal
+        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        delta = self.center + self.corner * context.field_radius() ** 2
+        for plane, sign in (("Gr", 1), ("Gb", -1)):
+            row, col = plane_position(context.sensor.cfa, plane, context.window[:2])
+            values[0, row::2, col::2] *= (1 + sign * delta[row::2, col::2]).astype(values.dtype)
+        return signal.with_values(values)
 
 
 @dataclass(frozen=True, kw_only=True)

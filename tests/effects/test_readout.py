@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import kurtosis, norm
 
-from isetval.core.sensor import Sensor
+from isetval.core.sensor import Exposure, Sensor
 from isetval.core.signal import Signal
-from isetval.effects.converter import BlackLevel, ConversionGain, GainKnee, GrGbImbalance, Nonlinearity, Quantization
+from isetval.effects.converter import BlackLevel, ConversionGain, GainKnee, Nonlinearity, Quantization
+from isetval.effects.electrons import GrGbImbalance
 from isetval.effects.readout import ColumnFpn, Dsnu, ReadNoise, ResetNoise, RowFpn, Rts, TemporalRowNoise
 
 N = 256 * 256
@@ -67,10 +68,14 @@ def test_gain_is_in_dn_per_electron(place, charge):
     out = ConversionGain(gain_dn_per_e=0.1707).apply(charge(1000), place())
     assert out.unit == "dn"
     np.testing.assert_allclose(out.values, 170.7)  # not 5858, its inverse
+    fast = place(exposure=Exposure(time_s=0.1, iso=220))
+    np.testing.assert_allclose(ConversionGain(gain_dn_per_e=0.1707, base_iso=55).apply(charge(1000), fast).values, 4 * 170.7)
+    np.testing.assert_allclose(ConversionGain(gain_dn_per_e=0.1707, base_iso=55).apply(charge(1000), place()).values, 170.7)
+    np.testing.assert_allclose(ConversionGain(gain_dn_per_e=0.1707).apply(charge(1000), fast).values, 170.7)
 
 
 def test_greens_part_as_stated(place, charge):
-    out = run(GrGbImbalance(center=0.01), charge(100, "dn"), place(window=(1385, 1888, 256, 256)))
+    out = run(GrGbImbalance(center=0.01), charge(100), place(window=(1385, 1888, 256, 256)))
     # the window starts on an odd row: GBRG, so Gb leads and Gr follows
     np.testing.assert_allclose(out[::2, ::2], 99)
     np.testing.assert_allclose(out[1::2, 1::2], 101)

@@ -1,0 +1,63 @@
+"""What an effect says it leaves alone, it leaves alone: the whole nominal chain with and without it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isetval.chain import ShotSetup, electronics, make_context, mean_electrons
+from isetval.core.campaign import Light, Shot
+from isetval.core.scene import EdgeTarget
+from isetval.core.sensor import Exposure
+from isetval.core.spectrum import Spectrum
+from isetval.effects import catalogue
+from isetval.modelfile import load_model
+
+DATA = Path(__file__).parents[2] / "data" / "pixel4a"
+LIGHT = Light("A", Spectrum(np.array([390.0, 710.0]), np.array([0.001, 0.004])))
+CORNER = (2700, 3600, 64, 64)
+SHOTS = {
+    "dark": Shot("dark", "dark", exposure=Exposure(time_s=1.0), window=CORNER),
+    "flat": Shot("flat", "flat", exposure=Exposure(time_s=0.02), window=CORNER, light="A"),
+    "edge": Shot("edge", "edge", exposure=Exposure(time_s=0.02), window=CORNER, light="A", target=EdgeTarget("e"), focus_um=4.0),
+}
+CLAIMS = [
+    (name, claim)
+    for name, cls in catalogue().items()
+    for claim in getattr(cls, "must_not_change", ())
+    if claim in SHOTS and cls.candidate
+]
+
+
+@pytest.fixture(scope="module")
+def camera():
+    model = load_model(DATA / "camera.toml")
+    return model.replace(model.effect("quantization").changed(step_dn=0.0))
+
+
+def dn(model, shot, mode):
+    setup = ShotSetup(shot, LIGHT if shot.light else None)
+    return electronics(model, mean_electrons(model, setup), make_context(model, setup, seed=4, sensor_seed=2, mode=mode))
+
+
+def with_effect(camera, name):
+    standing = camera.effect(name)
+    effect = standing or catalogue()[name](**{p.name: p.null for p in catalogue()[name].parameters() if not p.shape})
+    moved = {p.name: effect.values()[p.name] + p.tau for p in effect.parameters() if p.tau is not None and not p.shape}
+    return camera.with_effect(effect.changed(**moved))
+
+
+@pytest.mark.parametrize(("name", "claim"), CLAIMS, ids=str)
+def test_claim(camera, name, claim):
+    changed = with_effect(camera, name)
+    if claim == "edge":
+        before, after = (dn(model, SHOTS["edge"], "expected")[::2, 1::2] for model in (camera, changed))
+        # the same edge but for level and contrast: after = a + b before, within a thousandth of the contrast
+        b, a = np.polyfit(before.ravel(), after.ravel(), 1)
+        assert np.abs(after - a - b * before).max() < 1e-3 * np.ptp(after)
+        assert b > 0.5
+        return
+    if catalogue()[name].stage == "file":  # acts on whole codes
+        camera, changed = (model.replace(model.effect("quantization").changed(step_dn=1.0)) for model in (camera, changed))
+    before, after = (dn(model, SHOTS[claim], "derivative") for model in (camera, changed))
+    np.testing.assert_allclose(after, before, atol=0.01)  # a hundredth of a DN, with all noise
