@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
-from isetval.scenes.lens_view import LensView, beam, pinhole_position
+from isetval.scenes.views import LensView, beam, pinhole_position
 from isetval.scenes.passes import Crop, Irradiance, Render
 
 Float = NDArray[np.float64]
@@ -275,7 +275,7 @@ class Spot:
 
 def _film_cosines(view: LensView, r_mm: float, wavelength_nm: float) -> Float:
     """Semi-axes (diagonal 2 x 2) of the beam's rim in direction cosines on the film, in the meridian's frame."""
-    from isetval.scenes.lens_view import rim
+    from isetval.scenes.views import rim
 
     middle, rho, angle = rim(view.lens, np.array([r_mm]), film_mm=view.film_mm, wavelength_nm=wavelength_nm)
     z = view.lens.table(wavelength_nm).region.plane_distance_mm + view.lens.film_offset_mm(view.film_mm)

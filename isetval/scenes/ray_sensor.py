@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
-from isetval.scenes.lens_view import Lens, LensView, rim
+from isetval.scenes.views import Lens, LensView, rim
 
 Float = NDArray[np.float64]
 PLUGIN = "isetval_ray_transfer"

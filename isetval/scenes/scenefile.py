@@ -42,7 +42,18 @@ def load_scene(path: str | os.PathLike[str]) -> LoadedScene:
         Names the file, the entry, what was found and what is needed.
     """
     file = Path(path)
-    data = _read(file)
+    return parse_scene(_read(file), file=file)
+
+
+def parse_scene(content: Mapping[str, Any], *, file: Path) -> LoadedScene:
+    """A scene from a scene file's content; ``file`` is for messages and for the files it names.
+
+    Raises
+    ------
+    InputError
+        As :func:`load_scene`.
+    """
+    data = {key: value for key, value in content.items() if key != "file"}
     unknown = sorted(set(data) - _TOP)
     if unknown:
         raise InputError(f"{file}: has the unknown entry {', '.join(unknown)}; it may hold {', '.join(sorted(_TOP))}")
