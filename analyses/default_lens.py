@@ -30,7 +30,7 @@ def main() -> None:
         prescription,
         sensor_radius_mm=TABLE_END_MM,
         wavelengths_nm=WAVELENGTHS_NM,
-        degrees=(5, 7, 9, 11),
+        degrees=(5, 7, 9),
         description=prescription.source,
     )
     for wavelength, fit in fits.items():
