@@ -22,6 +22,7 @@ from isetval.measure.shading.radial import Radial
 
 Float = NDArray[np.float64]
 Int = NDArray[np.intp]
+END_SIGMA = 3e-3
 GEOMETRIES = {"center+tilt": (0, 1, 2, 3), "center": (0, 1), "tilt": (2, 3), "none": ()}
 
 
@@ -140,6 +141,10 @@ def _step(
         matrix = design(points, geometry, known, radial)[:, columns]
         normal[np.ix_(index, index)] += matrix.T @ matrix
         right[index] += matrix.T @ (points.value / points.sigma)
+    if radial.kind == "spline":
+        # the last spline lives on the outermost corner alone: hold its third difference to 0 +- END_SIGMA
+        third = np.array([-1.0, 3.0, -3.0, 1.0]) / END_SIGMA
+        normal[size - 4 : size, size - 4 : size] += np.outer(third, third)
     active = np.concatenate([np.arange(size), size + np.array(free, dtype=np.intp)])
     solution, covariance = np.zeros(width), np.zeros((width, width))
     solution[active], covariance[np.ix_(active, active)] = _solve(normal[np.ix_(active, active)], right[active])
