@@ -224,6 +224,8 @@ def _run_block_wise(
         part = (edges[i], col0, edges[i + 1] - edges[i], cols)
         rows_here = slice(edges[i] - row0, edges[i + 1] - row0)
         own = replace(context, window=part, shot_window=context.window)
+        if own.previous is not None and own.previous.shape[0] == rows:
+            own = replace(own, previous=own.previous[rows_here])
         out[:, rows_here] = _run(run, charge[:, rows_here], unit, own)
 
     if threads > 1 and len(edges) > 4:

@@ -104,10 +104,9 @@ def repeat_gate(prepared: Prepared) -> dict[str, Any]:
     pick = np.zeros((len(rows), len(table.metrics)))
     for i, (a, b) in enumerate(rows):
         pick[i, a], pick[i, b] = 1.0, -1.0
-    whole = np.linalg.inv(problem.whiten)
-    covariance = (whole @ whole.T) / (1 + 1 / problem.base.replicas)
     local = pick[:, problem.keep]
-    spread = local @ covariance @ local.T + _set_up_part(problem, prepared.model, local, whole)
+    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / (1 + 1 / problem.base.replicas)
+    spread = local @ covariance @ local.T + _set_up_part(problem, prepared.model, local)
     difference = pick @ np.nan_to_num(table.values)
     values, vectors = np.linalg.eigh(spread)
     use = values > 1e-9 * values.max()
@@ -132,14 +131,14 @@ def _paired_rows(table: MetricTable, problem: Problem, pairs: Sequence[tuple[Sho
     return rows
 
 
-def _set_up_part(problem: Problem, model: CameraModel, local: Float, whole: Float) -> Float:
+def _set_up_part(problem: Problem, model: CameraModel, local: Float) -> Float:
     from isetval.fit import jacobian
 
     free = [f for f in nuisance_parameters(problem.plan, model) if "@set-up:" in f.key]
     if not free:
         return np.zeros((len(local), len(local)))
-    white = jacobian(problem, Point(model), free)
-    columns = local @ (whole @ white) * np.array([f.prior or 0.0 for f in free])
+    raw = np.linalg.solve(problem.whiten, jacobian(problem, Point(model), free))
+    columns = local @ raw * np.array([f.prior or 0.0 for f in free])
     return np.asarray(columns @ columns.T)
 
 
@@ -163,12 +162,13 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel], *, role: str)
 
 
 def _family_square(problem: Problem, fitted: Fit, mask: NDArray[np.bool_]) -> tuple[float, int]:
-    whole = np.linalg.inv(problem.whiten)
-    block = (whole[mask] @ whole[mask].T) if not mask.all() else whole @ whole.T
-    residual = fitted.residual[problem.keep][mask]
-    columns = (whole @ fitted.jacobian)[mask]
+    rows = problem.keep[mask]
+    block = problem.covariance[np.ix_(rows, rows)]
+    residual = fitted.residual[rows]
+    columns = np.linalg.solve(problem.whiten, fitted.jacobian)[mask]
     weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in fitted.free])
-    lower = np.linalg.cholesky(block)
+    scale = np.sqrt(np.diag(block))
+    lower = scale[:, None] * np.linalg.cholesky(block / np.outer(scale, scale) + 1e-9 * np.eye(rows.size))
     from scipy.linalg import solve_triangular
 
     z = solve_triangular(lower, residual, lower=True)
@@ -281,8 +281,7 @@ def _rows(problem: Problem, model: CameraModel, fitted: Fit) -> pd.DataFrame:
     metrics = [problem.predictor.table.metrics[i] for i in keep]
     names = [n for n in METRIC_FIELDS if n not in ("value", "sigma", "summary")]
     frame = pd.DataFrame([[getattr(m, n) for n in names] for m in metrics], columns=names)
-    whole = np.linalg.inv(problem.whiten)
-    sigma = np.sqrt(np.sum(whole**2, axis=1))
+    sigma = np.sqrt(np.diag(problem.covariance)[keep])
     frame.insert(0, "model", model.name)
     frame["measured"] = problem.measured[keep]
     frame["simulated"] = fitted.prediction[keep]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
+from isetval.core.metric import MetricTable
 from isetval.model import CameraModel
 from isetval.prediction import Base, Point, Predictor
 from isetval.shooting import nuisance_groups
@@ -17,6 +18,7 @@ from isetval.shooting import nuisance_groups
 Float = NDArray[np.float64]
 SYMMETRIC = ("focus_um", "edge_shift_px", "edge_angle_deg")
 MAX_ITERATIONS = 6
+CONVERGED = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class Problem:
     keep: NDArray[np.intp]
     whiten: Float
     anchor: Float
+    covariance: Float
     columns: dict[tuple[str, str], Float] = field(default_factory=dict)
 
     @property
@@ -104,26 +107,35 @@ def make_problem(predictor: Predictor, nominal: CameraModel, *, base: Base | Non
     (anchor,) = predictor.derivative_vectors([Point(nominal)])
     measured = predictor.table.values
     variance = np.diag(base.covariance)
-    usable = np.isfinite(measured) & np.isfinite(base.mean) & np.isfinite(anchor) & np.isfinite(variance) & (variance > 0)
+    usable = ~_empty_counts(predictor.table, measured, base) & np.isfinite(measured) & np.isfinite(base.mean) & np.isfinite(anchor) & np.isfinite(variance) & (variance > 0)
     keep = np.flatnonzero(usable)
     if keep.size == 0:
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
-    problem = Problem(predictor, nominal, base, measured, keep, np.eye(keep.size), anchor)
-    problem.whiten = whitening(problem)
+    problem = Problem(predictor, nominal, base, measured, keep, np.eye(keep.size), anchor, base.covariance)
+    weigh(problem)
     return problem
 
 
-def whitening(problem: Problem) -> Float:
-    """L^-1 with L L' = covariance of measured minus predicted: sampling, simulation, frame-scope light."""
+def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np.bool_]:
+    """Rows that count outliers where neither side has any: they hold no information and are not normal."""
+    counts = np.array([m.unit.startswith("2 sqrt(count") for m in table.metrics])
+    nothing = 2 * np.sqrt(0.375) + 1e-9
+    return counts & (measured <= nothing) & (base.values.max(axis=0) <= nothing)
+
+
+def weigh(problem: Problem) -> None:
+    """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
     keep = problem.keep
-    covariance = problem.base.covariance[np.ix_(keep, keep)] * (1 + 1 / problem.base.replicas)
+    covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
     for column in _frame_columns(problem):
-        covariance = covariance + np.outer(column[keep], column[keep])
+        covariance = covariance + np.outer(column, column)
+    problem.covariance = covariance
+    covariance = covariance[np.ix_(keep, keep)]
     scale = np.sqrt(np.diag(covariance))
     lower = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-9 * np.eye(keep.size))
     from scipy.linalg import solve_triangular
 
-    return np.asarray(solve_triangular(lower, np.diag(1 / scale), lower=True))
+    problem.whiten = np.asarray(solve_triangular(lower, np.diag(1 / scale), lower=True))
 
 
 def _frame_columns(problem: Problem) -> list[Float]:
@@ -236,7 +248,7 @@ def fit(problem: Problem, start: Point, free: Sequence[Free], *, tag: str = "", 
         gain = cost - moved
         if gain > 0:
             values, cost, z, prediction = new, moved, new_z, new_prediction
-        if gain < 0.05:
+        if gain < CONVERGED:
             converged = True
             break
         point = at(start, free, list(values))

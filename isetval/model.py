@@ -16,7 +16,7 @@ from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor
 
 Float = NDArray[np.float64]
-DEFAULT_WAVELENGTH_NM = np.arange(390.0, 711.0, 10.0)
+DEFAULT_WAVELENGTH_NM = np.arange(380.0, 741.0, 5.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,6 +149,10 @@ def _fill(table: Any, effect: Effect, folder: Path, step: Mapping[str, Any]) -> 
     for key in effect.files():
         if getattr(effect, key):
             wanted[key] = named_path(resolve_path(getattr(effect, key), Path(effect.base)), folder)
+    known = {*effect.values(), *effect.files(), "source", "fitted_to", "base"}
+    for item in dataclasses.fields(effect):
+        if item.name not in known and getattr(effect, item.name) != item.default:
+            wanted[item.name] = getattr(effect, item.name)
     if effect.source:
         wanted["source"] = effect.source
     if effect.fitted_to:

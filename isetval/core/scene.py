@@ -92,6 +92,8 @@ class Scene:
     white : (bands,)
         Radiance in W/(sr m2 nm) of a perfect white diffuser in the light, or of the light itself
         where the camera looks into it (flats).
+    light : Spectrum or None
+        The light's own table: reflectances are averaged over the bands with its weight.
     target : Target or None
         None is a uniform field.
     tilt : (x, y)
@@ -112,6 +114,7 @@ class Scene:
 
     wavelength_nm: Float
     white: Float
+    light: Spectrum | None = None
     target: Target | None = None
     tilt: tuple[float, float] = (0.0, 0.0)
     radial: float = 0.0
@@ -121,6 +124,16 @@ class Scene:
     gloss: float = 0.0
     bounce: float = 0.0
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def reflectance(self, spectrum: Spectrum) -> Float:
+        """Band means (bands,) of a reflectance, weighted with the light: white times it is the exact radiance."""
+        if self.light is None or self.light.wavelength_nm.size < 2 or spectrum.wavelength_nm.size < 2:
+            return spectrum.band_means(self.wavelength_nm)
+        grid = np.union1d(self.light.wavelength_nm, spectrum.wavelength_nm)
+        light = self.light.at(grid)
+        total = Spectrum(grid, light).band_means(self.wavelength_nm)
+        part = Spectrum(grid, light * spectrum.at(grid)).band_means(self.wavelength_nm)
+        return np.asarray(np.where(total > 0, part / np.where(total > 0, total, 1.0), spectrum.at(self.wavelength_nm)))
 
     def with_white(self, factor: Any) -> Scene:
         """The scene with its light times ``factor`` (scalar or (bands,))."""

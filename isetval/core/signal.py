@@ -21,7 +21,7 @@ Float = NDArray[np.float64]
 UNITS = ("radiance", "irradiance", "electron", "dn")
 
 Transfer = Callable[[Float, Float, Float], Float]
-"""Optical transfer function (fx_cy_px, fy_cy_px, wavelength_nm) -> real values; arguments broadcast."""
+"""Optical transfer function (fx_cy_px, fy_cy_px, wavelength_nm) ; complex where the blur is not even.  Arguments broadcast."""
 
 
 class Structure(Protocol):
@@ -78,6 +78,8 @@ class Signal:
     @property
     def values(self) -> Float:
         """Sampled values; bands and pixels in which nothing varies may have length 1."""
+        if len(self.layers) == 1 and self.layers[0].structure is None:
+            return self.layers[0].amplitude
         total: Any = 0
         transfers = self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers)
         transfer = _product(transfers)

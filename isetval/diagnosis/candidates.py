@@ -12,10 +12,10 @@ from isetval.core.effect import Effect, ParameterInfo
 from isetval.effects import catalogue
 from isetval.fit import Free, Problem
 from isetval.model import CameraModel
-from isetval.prediction import Point
+from isetval.prediction import RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 
 Float = NDArray[np.float64]
-STRONG = 25.0
+STRONG, WANTED = 80.0, 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +105,21 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
     """Signatures by simulation with common random numbers.
 
     ``project`` (kept rows, k) is an orthonormal basis of what nuisances can do.  A secant that is far
-    outside the linear range (profiled length above 25 sigma) is taken again closer to the null.
+    outside the linear range (profiled length above 80 sigma) is taken again closer to the null.
     """
     steps = [_steps(c) for c in wanted]
     columns = _secants(problem, point, wanted, steps)
-    again = []
-    for i, column in enumerate(columns):
-        length = np.linalg.norm(_profiled(problem, column * steps[i], project), axis=0)
-        if np.any(length > STRONG):
-            steps[i] = steps[i] * np.where(length > STRONG, np.sqrt(10.0 / np.maximum(length, 1e-9)), 1.0)
-            again.append(i)
-    if again:
+    for _ in range(2):
+        again = []
+        for i, column in enumerate(columns):
+            length = np.linalg.norm(_profiled(problem, column * steps[i], project), axis=0)
+            if np.any(length > STRONG):
+                ratio = WANTED / np.maximum(length, 1e-9)
+                closer = ratio if wanted[i].effect.random == "none" else np.sqrt(ratio)
+                steps[i] = steps[i] * np.where(length > STRONG, closer, 1.0)
+                again.append(i)
+        if not again:
+            break
         for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
             columns[i] = column
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
@@ -127,14 +131,19 @@ def _profiled(problem: Problem, columns: Float, project: Float) -> Float:
 
 
 def _secants(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: Sequence[Float]) -> list[Float]:
-    points = [point]
-    for candidate, step in zip(wanted, steps, strict=True):
-        model = candidate.model_with(point.model)
-        for key, value, h in zip(candidate.keys, candidate.nominal, step, strict=True):
-            points.append(Point(model.with_values({key: value + h}), point.values))
-    vectors = iter(problem.predictor.derivative_vectors(points))
-    here = next(vectors)
-    out = []
-    for step in steps:
-        out.append(np.column_stack([(next(vectors) - here) / h for h in step]))
-    return [np.nan_to_num(column) for column in out]
+    """Raw secants; effects that draw random numbers are averaged over more seeds."""
+    out: dict[int, Float] = {}
+    for seeds, random in ((SIGNATURE_SEEDS, False), (RANDOM_SEEDS, True)):
+        chosen = [i for i, c in enumerate(wanted) if (c.effect.random != "none") == random]
+        if not chosen:
+            continue
+        points = [point]
+        for i in chosen:
+            model = wanted[i].model_with(point.model)
+            for key, value, h in zip(wanted[i].keys, wanted[i].nominal, steps[i], strict=True):
+                points.append(Point(model.with_values({key: value + h}), point.values))
+        vectors = iter(problem.predictor.derivative_vectors(points, seeds))
+        here = next(vectors)
+        for i in chosen:
+            out[i] = np.nan_to_num(np.column_stack([(next(vectors) - here) / h for h in steps[i]]))
+    return [out[i] for i in range(len(wanted))]

@@ -26,7 +26,7 @@ ALPHA = 0.01
 MAX_EFFECTS = 4
 SHORT_LIST = 5
 SAME_RHO = 0.95
-PARTIAL_CHI2 = 10.0
+WORTH_A_REFIT = 0.5
 Say = Callable[[str], None]
 
 
@@ -115,7 +115,7 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say) -> _Case:
     wanted = candidates_for(model)
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
-    made = signatures(problem, fitted.point, wanted, project=frame.basis[: frame.rows])
+    made = signatures(problem, Point(model), wanted, project=frame.basis[: frame.rows])
     return _Case(problem, fitted, wanted, {s.candidate.name: s for s in made}, frame0=frame)
 
 
@@ -132,8 +132,10 @@ def _investigate(case: _Case, say: Say) -> list[Finding]:
         if not passing:
             break
         passing.sort(key=lambda c: _strength(scores[c.name]), reverse=True)
-        say("refitting " + ", ".join(c.name for c in passing[:SHORT_LIST]))
-        refits = [_refit(case, c, scores[c.name]) for c in passing[:SHORT_LIST]]
+        best = _strength(scores[passing[0].name])
+        short = [c for c in passing[:SHORT_LIST] if _strength(scores[c.name]) > WORTH_A_REFIT * best - 20]
+        say("refitting " + ", ".join(c.name for c in short))
+        refits = [_refit(case, c, scores[c.name]) for c in short]
         refits.sort(key=lambda r: r.log_evidence, reverse=True)
         if turn and refits[0].log_evidence < np.log(19.0 * len(tested)):
             break

@@ -135,11 +135,10 @@ def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01) -> 
     metrics = problem.predictor.table.metrics
     families = np.array([metrics[i].family for i in problem.keep])
     names = list(dict.fromkeys(families))
-    covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
     out = []
     for family in names:
         rows = problem.keep[families == family]
-        block = covariance[np.ix_(rows, rows)]
+        block = problem.covariance[np.ix_(rows, rows)]
         r = residual[rows]
         values = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), r)
         square, n = float(r @ values), rows.size

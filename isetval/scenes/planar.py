@@ -13,10 +13,11 @@ from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Scene
 from isetval.core.signal import Layer, Signal, Transfer
+from isetval.scenes.pictures import HALO_PX, SpectralPicture, wavelength_nodes
 
 Float = NDArray[np.float64]
 ESF_STEP_PX = 1 / 16
-ESF_HALF_PX = 256
+ESF_HALF_PX = 512
 
 
 def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: Context) -> Scene:
@@ -29,6 +30,7 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
     return Scene(
         wavelength_nm=wavelength_nm,
         white=white * level * np.maximum(spectrum, 0),
+        light=None if light is None else light.radiance,
         target=_moved(shot.target, context),
         tilt=(context.get("light_tilt_x"), context.get("light_tilt_y")),
         radial=context.get("light_radial"),
@@ -61,7 +63,8 @@ def planar_radiance(scene: Scene, context: Context) -> Signal:
     elif isinstance(scene.target, EdgeTarget):
         layers = _edge_layers(scene, context)
     elif isinstance(scene.target, ChartTarget):
-        layers = [Layer(_chart(scene, scene.target, context) * _target_field(scene, context))]
+        white = scene.white[:, None, None] * _target_field(scene, context)
+        layers = [Layer(white, _chart(scene, scene.target, context))]
     else:
         raise InputError(f"target {scene.target.name}: not a planar target; it needs the renderer")
     if scene.ambient is not None:
@@ -104,25 +107,24 @@ def _target_field(scene: Scene, context: Context) -> Float:
     return np.asarray((1 + scene.target_tilt[0] * x + scene.target_tilt[1] * y)[None])
 
 
-def _chart(scene: Scene, target: ChartTarget, context: Context) -> Float:
+def _chart(scene: Scene, target: ChartTarget, context: Context) -> SpectralPicture:
+    """The chart's reflectances, with a halo of its surroundings for blur."""
     rows, cols = context.window[2:]
-    top, left = (int(place.flat[0]) for place in context.place_in_shot())
-    grid = scene.wavelength_nm
-    table = [target.surround.at(grid)] + [patch.reflectance.at(grid) + scene.gloss for patch in target.patches]
-    label = np.zeros((rows, cols), np.intp)
+    top, left = (int(place.flat[0]) - HALO_PX for place in context.place_in_shot())
+    table = [scene.reflectance(target.surround)]
+    table += [scene.reflectance(patch.reflectance) + scene.gloss for patch in target.patches]
+    label = np.zeros((rows + 2 * HALO_PX, cols + 2 * HALO_PX), np.intp)
     for number, patch in enumerate(target.patches, 1):
         row0, row1, col0, col1 = patch.box
         label[max(row0 - top, 0) : max(row1 - top, 0), max(col0 - left, 0) : max(col1 - left, 0)] = number
-    spectra = (np.array(table) * scene.white).T
-    return np.asarray(spectra[:, label])
+    return SpectralPicture.of_labels(label, np.array(table).T, HALO_PX)
 
 
 def _edge_layers(scene: Scene, context: Context) -> list[Layer]:
     target = scene.target
     assert isinstance(target, EdgeTarget)
-    grid = scene.wavelength_nm
-    dark = scene.white * np.maximum(target.dark_reflectance.at(grid) + scene.black, 0)
-    bright = scene.white * target.bright_reflectance.at(grid)
+    dark = scene.white * np.maximum(scene.reflectance(target.dark_reflectance) + scene.black, 0)
+    bright = scene.white * scene.reflectance(target.bright_reflectance)
     field = _target_field(scene, context)
     edge = StraightEdge(_normal(target), *_relative(target.offset_px, context), falling=target.dark_side == "high")
     return [Layer(dark[:, None, None] * field), Layer((bright - dark)[:, None, None] * field, edge)]
@@ -159,6 +161,10 @@ class StraightEdge:
     col_px: Float
     falling: bool = False
 
+    def moved(self, down_px: Float, right_px: Float) -> StraightEdge:
+        """The edge shifted by so much at each pixel (distortion)."""
+        return replace(self, row_px=self.row_px - down_px, col_px=self.col_px - right_px)
+
     def distance_px(self) -> Float:
         """Distance (rows, cols) of each pixel's centre from the edge, along the normal."""
         distance = self.row_px * self.normal[0] + self.col_px * self.normal[1]
@@ -170,11 +176,13 @@ class StraightEdge:
         if transfer is None:
             return np.asarray(amplitude * np.clip(distance + 0.5, 0, 1)[None])
         bands = np.array([550.0]) if wavelength_nm is None else wavelength_nm
-        position, curves = self._edge_spread(transfer, bands, float(np.abs(distance).max()))
+        nodes, weights = wavelength_nodes(bands)
+        position, curves = self._edge_spread(transfer, nodes, float(np.abs(distance).max()))
         place = (distance - position[0]) / (position[1] - position[0])
         place = np.clip(place, 1, position.size - 3)
         index = place.astype(np.intp)
-        return np.asarray(amplitude * _cubic(curves, index, place - index))
+        steps = _cubic(curves, index, place - index)
+        return np.asarray(amplitude * (weights.T @ steps.reshape(nodes.size, -1)).reshape(bands.size, *distance.shape))
 
     def _edge_spread(self, transfer: Transfer, wavelength_nm: Float, reach_px: float) -> tuple[Float, Float]:
         sign = -1.0 if self.falling else 1.0
@@ -191,6 +199,7 @@ class StraightEdge:
         position = (np.arange(n) - n // 2) * ESF_STEP_PX
         wave = np.fft.fftshift(np.fft.irfft(full, n, axis=1), axes=1) / ESF_STEP_PX
         esf = 0.5 + position / (2 * ESF_HALF_PX) + wave
+        esf -= (esf[:, :1] + esf[:, -1:] - 1) / 2  # a shifted (complex) transfer leaves a constant behind
         keep = np.abs(position) <= min(reach_px + 8, ESF_HALF_PX - 16)
         return position[keep], np.ascontiguousarray(esf[:, keep])
 

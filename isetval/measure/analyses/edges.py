@@ -1,0 +1,106 @@
+"""Slanted edges: SFR at fixed frequencies, levels of both sides, lateral colour, per colour."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.campaign import Shot
+from isetval.core.capture import Capture
+from isetval.core.errors import MeasurementError
+from isetval.core.metric import Block, Metric
+from isetval.measure.conditions import metric, shot_conditions
+from isetval.measure.edge import SfrResult, sfr
+
+ROLES = ("edge",)
+FREQUENCY_CY_PX = np.arange(0.05, 0.5001, 0.05)
+Float = NDArray[np.float64]
+
+
+def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
+    """SFR and levels of an edge, mean over the frames.
+
+    Raises
+    ------
+    MeasurementError
+        If the edge is refused in every colour, with the reasons.
+    """
+    conditions = shot_conditions(shot, captures[0].sensor) | {"orientation": getattr(shot.target, "orientation", "")}
+    roi = getattr(shot.target, "roi", None)
+    channels = ("MONO",) if captures[0].sensor.cfa == "MONO" else ("R", "G", "B")
+    made: dict[str, Any] = {}
+    rows: list[Metric] = []
+    blocks: list[Float] = []
+    places: dict[str, tuple[float, float, float]] = {}
+    reasons: list[str] = []
+    for channel in channels:
+        known = choices.get(channel)
+        results = [sfr(capture, roi, "G" if channel == "MONO" else channel, choices=known) for capture in captures[:1]]
+        if results[0].accepted:
+            known = known or dict(results[0].choices)
+            more = [sfr(c, roi, "G" if channel == "MONO" else channel, choices=known) for c in captures[1:]]
+            results += [r for r in more if r.accepted]
+        if not results[0].accepted:
+            reasons.append(f"{channel}: {', '.join(results[0].messages.values()) or ', '.join(results[0].flags)}")
+            continue
+        made[channel] = known
+        new, correlation, places[channel] = _channel(conditions, channel, results)
+        rows += new
+        blocks.append(correlation)
+    if not rows:
+        raise MeasurementError(f"no edge can be measured ({'; '.join(reasons)})")
+    shifts = _lateral_color(conditions, places)
+    correlation = _block_diagonal([*blocks, np.eye(len(shifts))])
+    return Block((*rows, *shifts), correlation, choices=made)
+
+
+def _channel(
+    conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]
+) -> tuple[list[Metric], Float, tuple[float, float]]:
+    n = len(results)
+    mtf = np.mean([r.mtf_at(FREQUENCY_CY_PX) for r in results], axis=0)
+    covariance = np.mean([r.mtf_covariance(FREQUENCY_CY_PX) for r in results], axis=0) / n
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-14))
+    rows = [
+        metric(conditions, "mtf", value, s, "1", channel=channel, frequency_cy_px=round(float(f), 4))
+        for f, value, s in zip(FREQUENCY_CY_PX, mtf, sigma, strict=True)
+    ]
+    for name, unit in (("dark_dn", "DN"), ("bright_dn", "DN")):
+        value = float(np.mean([getattr(r, name) for r in results]))
+        spread = math.sqrt(np.mean([getattr(r, name.replace("_dn", "_sigma_dn")) ** 2 for r in results]) / n)
+        rows.append(metric(conditions, f"edge_{name.removesuffix('_dn')}_level", value, max(spread, 1e-4), unit, channel=channel))
+    correlation = np.eye(len(rows))
+    k = len(sigma)
+    correlation[:k, :k] = covariance / np.outer(sigma, sigma)
+    np.fill_diagonal(correlation, 1.0)
+    normal = math.radians(results[0].normal_deg)
+    place = float(np.mean([r.edge_col_px * math.cos(normal) + r.edge_row_px * math.sin(normal) for r in results]))
+    place_sigma = math.sqrt(np.mean([r.edge_sigma_px**2 for r in results]) / n)
+    return rows, correlation, (place, place_sigma)
+
+
+def _lateral_color(conditions: dict[str, Any], places: Mapping[str, tuple[float, float]]) -> list[Metric]:
+    """Shift of the red and blue edge against the green one, in px; the pose of the chart cancels."""
+    if "G" not in places:
+        return []
+    rows = []
+    for channel in ("R", "B"):
+        if channel in places:
+            shift = places[channel][0] - places["G"][0]
+            sigma = math.hypot(places[channel][1], places["G"][1])
+            rows.append(metric(conditions, "lateral_color", shift, max(sigma, 1e-5), "px", channel=channel))
+    return rows
+
+
+def _block_diagonal(blocks: Sequence[Float]) -> Float:
+    n = sum(len(b) for b in blocks)
+    out = np.zeros((n, n))
+    row = 0
+    for block in blocks:
+        out[row : row + len(block), row : row + len(block)] = block
+        row += len(block)
+    return out
