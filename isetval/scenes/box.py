@@ -21,7 +21,7 @@ from isetval.core.errors import InputError
 from isetval.core.spectrum import Spectrum
 from isetval.scenes import cache, own_spectra
 from isetval.scenes.placing import Float, Shape, block, edge_target, patch_grid, rectangle, rotate, scale, translate
-from isetval.scenes.spectra import radiance_dict, reflectance_dict, scaled
+from isetval.scenes.spectra import radiance_dict, raised, reflectance_dict, scaled
 
 PIXEL_4A = {"focal_mm": 4.38, "pixel_um": 1.4, "rows": 3024, "cols": 4032}
 
@@ -79,7 +79,8 @@ class BoxParameters:
 
     ``bounces`` counts reflections (0 shows the light alone).  ``wall_albedo_scale``, ``black_scale`` and
     ``light_scale`` multiply reflectances or radiance; ``ambient_fraction`` adds a uniform surround of the
-    lamp's spectrum outside the open front.  ``spectra`` replaces built-in spectra by name.
+    lamp's spectrum outside the open front.  ``black_added`` and ``chart_gloss`` are reflectances added to everything black
+    and to the patches of all charts.  ``spectra`` replaces built-in spectra by name.
     """
 
     size_m: tuple[float, float, float] = (0.30, 0.30, 0.30)
@@ -90,6 +91,8 @@ class BoxParameters:
     light_scale: float = 1.0
     wall_albedo_scale: float = 1.0
     black_scale: float = 1.0
+    black_added: float = 0.0
+    chart_gloss: float = 0.0
     ambient_fraction: float = 0.0
     open_front: bool = True
     blocks: tuple[Block, ...] = (
@@ -202,7 +205,9 @@ def _spectra(box: BoxParameters) -> dict[str, dict[str, Any]]:
     surfaces.pop("lamp", None)
     for name in ("white_paper", "red_paper", "green_paper"):
         surfaces[name] = scaled(surfaces[name], box.wall_albedo_scale)
-    surfaces["black_paint"] = scaled(surfaces["black_paint"], box.black_scale)
+    surfaces["black_paint"] = raised(scaled(surfaces["black_paint"], box.black_scale), box.black_added)
+    for name in own_spectra.chart_reflectances():
+        surfaces[name] = raised(surfaces[name], box.chart_gloss)
     lights = {"lamp": scaled(lamp, box.light_scale), "ambient": scaled(lamp, box.light_scale * box.ambient_fraction)}
     out = {name: reflectance_dict(name, spectrum) for name, spectrum in surfaces.items()}
     return out | {name: radiance_dict(name, spectrum) for name, spectrum in lights.items()}

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
-from isetval.scenes.views import LensView, beam, pinhole_position
 from isetval.scenes.passes import Crop, Irradiance, Render
+from isetval.scenes.views import LensView, beam, pinhole_position
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from isetval.scenes.views import LensView
 from isetval.scenes.passes import Crop, Irradiance, NoiseTarget, Progress
 from isetval.scenes.ray_sensor import lens_tables
 from isetval.scenes.rendering import Job, check_camera, check_crop
 from isetval.scenes.variants import choose_variant
+from isetval.scenes.views import LensView
 
 
 def ray_space_irradiance(

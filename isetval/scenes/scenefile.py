@@ -14,16 +14,17 @@ from isetval.core.spectrum import Spectrum, read_spectra
 from isetval.scenes.box import Block, BoxParameters, Chart, Edge, Mesh, cornell_box, wall_camera
 
 _LISTS = {"blocks": Block, "charts": Chart, "edges": Edge, "meshes": Mesh}
-_TOP = {"kind", "name", "parameters", "spectra", "camera", "source"}
+_TOP = {"kind", "name", "parameters", "spectra", "camera", "source", "render"}
 
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene file read: the scene dictionary, its cameras by name, and where it came from."""
+    """A scene file read: the scene dictionary, its cameras by name, where it came from, and how a plan renders it."""
 
     spec: Mapping[str, Any]
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     path: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 def load_scene(path: str | os.PathLike[str]) -> LoadedScene:
@@ -45,8 +46,10 @@ def load_scene(path: str | os.PathLike[str]) -> LoadedScene:
     return parse_scene(_read(file), file=file)
 
 
-def parse_scene(content: Mapping[str, Any], *, file: Path) -> LoadedScene:
+def parse_scene(content: Mapping[str, Any], *, file: Path, lamp: Spectrum | None = None, **changes: Any) -> LoadedScene:
     """A scene from a scene file's content; ``file`` is for messages and for the files it names.
+
+    ``lamp`` replaces the lamp's spectrum, ``changes`` single parameters of the box.
 
     Raises
     ------
@@ -60,15 +63,39 @@ def parse_scene(content: Mapping[str, Any], *, file: Path) -> LoadedScene:
     if data.get("kind") != "cornell_box":
         raise InputError(f"{file}: kind is {data.get('kind')!r}; it needs 'cornell_box'")
     try:
-        changes = {name: _value(name, value, file) for name, value in data.get("parameters", {}).items()}
-        changes["spectra"] = _spectra(data.get("spectra", {}), file)
-        spec = cornell_box(BoxParameters(), **changes)
+        parameters = {name: _value(name, value, file) for name, value in data.get("parameters", {}).items()}
+        spectra = _spectra(data.get("spectra", {}), file) | ({} if lamp is None else {"lamp": lamp})
+        spec = cornell_box(BoxParameters(), **(parameters | changes), spectra=spectra)
         cameras = {name: _camera(entry) for name, entry in data.get("camera", {}).items()}
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     except TypeError as error:
         raise InputError(f"{file}: an entry has the wrong type ({error})") from None
-    return LoadedScene({**spec, "name": str(data.get("name", spec["name"]))}, cameras, str(file))
+    settings = _settings(data.get("render", {}), cameras, file)
+    return LoadedScene({**spec, "name": str(data.get("name", spec["name"]))}, cameras, str(file), settings)
+
+
+def _settings(entry: Mapping[str, Any], cameras: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """How a plan renders the scene: the ``[render]`` table with its defaults."""
+    out: dict[str, Any] = {
+        "camera": next(iter(cameras), ""),
+        "spp": 64,
+        "seed": 0,
+        "subsample": 2,
+        "halo_px": 16,
+        "bands": 9,
+        "variant": "",
+    }
+    unknown = sorted(set(entry) - set(out))
+    if unknown:
+        raise InputError(f"{file}: [render] has no {', '.join(unknown)}; it has {', '.join(out)}")
+    out |= entry
+    if out["camera"] not in cameras:
+        raise InputError(f"{file}: [render] names the camera {out['camera']!r}; it has {', '.join(cameras) or 'none'}")
+    for name, low in (("spp", 2), ("subsample", 1), ("halo_px", 0), ("bands", 2)):
+        if not (isinstance(out[name], int) and out[name] >= low):
+            raise InputError(f"{file}: [render] {name} is {out[name]!r}; it needs a whole number of {low} or more")
+    return out
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -19,6 +19,11 @@ def scaled(spectrum: Spectrum, factor: float) -> Spectrum:
     return Spectrum(spectrum.wavelength_nm, factor * spectrum.values)
 
 
+def raised(spectrum: Spectrum, offset: float) -> Spectrum:
+    """The spectrum plus a number."""
+    return spectrum if offset == 0 else Spectrum(spectrum.wavelength_nm, spectrum.values + offset)
+
+
 def reflectance_dict(name: str, spectrum: Spectrum) -> dict[str, Any]:
     """A reflectance as plain lists.
 

@@ -7,11 +7,11 @@ from scene_lenses import BACK_MM, FOCAL_MM, focused_film_mm, pixel_4a, textbook_
 from isetval.core.errors import InputError
 from isetval.scenes import wall_camera
 from isetval.scenes.image_space import image_space_irradiance
-from isetval.scenes.views import lens_view, pupil_camera, pupil_crop
 from isetval.scenes.passes import Render
 from isetval.scenes.placing import edge_target, rectangle, translate
 from isetval.scenes.ray_space import ray_space_irradiance
 from isetval.scenes.rendering import render
+from isetval.scenes.views import lens_view, pupil_camera, pupil_crop
 
 pytestmark = pytest.mark.mitsuba
 BANDS = np.array([500.0, 600.0])  # their plain mean has no noise from the choice of wavelengths
