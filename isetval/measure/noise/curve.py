@@ -96,6 +96,7 @@ class Fit:
     covariance: Float
     chi2: float
     dof: int
+    residuals: Float
 
     @property
     def gain(self) -> float:
@@ -193,7 +194,7 @@ def _straightened(name: str, points: Points, anchor: Anchor | None, response: Re
         jacobian.append((moved.coefficients - best.coefficients) / step)
     j = np.stack(jacobian, axis=1)
     covariance = best.covariance + j @ response.covariance @ j.T
-    return Fit(name, best.coefficients, covariance, best.chi2, best.dof)
+    return Fit(name, best.coefficients, covariance, best.chi2, best.dof, best.residuals)
 
 
 def _fit(name: str, columns: list[Float], points: Points, anchor: Anchor | None) -> Fit:
@@ -218,7 +219,7 @@ def _fit(name: str, columns: list[Float], points: Points, anchor: Anchor | None)
         model = np.maximum(design @ coefficients, 0.02 * target + 1e-6)
     residual = (values - rows @ coefficients) / errors
     covariance = inverse / np.outer(scale, scale)
-    return Fit(name, coefficients, covariance, float(residual @ residual), int(values.size - coefficients.size))
+    return Fit(name, coefficients, covariance, float(residual @ residual), int(values.size - coefficients.size), residual)
 
 
 def point_variance(points: Points, model: Float, slope: float) -> Float:

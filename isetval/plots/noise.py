@@ -1,0 +1,101 @@
+"""Plots of noise: photon-transfer curve, uniform patches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isetval.measure.noise.patches import PatchTable
+from isetval.measure.noise.transfer import PhotonTransfer, PlaneTransfer
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLORS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "B": "tab:blue", "MONO": "tab:gray"}
+
+
+def transfer_figure(result: PhotonTransfer) -> Figure:
+    """Three panels: variance against mean, its departure from the fit in sigmas, fixed pattern against mean."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    curve, rest, pattern = figure.subplots(1, 3)
+    for plane, transfer in result.items():
+        color = COLORS.get(plane, "black")
+        _curve(curve, transfer, color)
+        _residual(rest, transfer, color)
+        _pattern(pattern, transfer, color)
+    curve.set(xlabel="mean above black (DN)", ylabel="temporal variance (DN$^2$)", xscale="log", yscale="log")
+    rest.set(xlabel="mean above black (DN)", ylabel="(variance - fit) / sigma", xscale="log")
+    rest.axhspan(-2, 2, color="0.9")
+    pattern.set(xlabel="mean above black (DN)", ylabel="fixed pixel pattern (DN)", xscale="log", yscale="log")
+    curve.legend(fontsize="small")
+    return figure
+
+
+def _curve(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
+    for used, marker in ((True, "o"), (False, "x")):
+        levels = [level for level in transfer.levels if level.used == used]
+        axis.plot([v.mean_dn for v in levels], [v.variance_dn2 for v in levels], marker, color=color, markersize=4)
+    k = transfer.gain_dn_per_e
+    axis.plot([], [], "o", color=color, label=f"{transfer.plane}: K = {k.value:.4f} $\\pm$ {k.sigma:.4f} DN/e$^-$")
+    if transfer.fit is not None:
+        mean = np.array([v.mean_dn for v in transfer.levels if v.used])
+        axis.plot(mean, transfer.fit.intercept + k.value * mean, "-", color=color, linewidth=0.8)
+
+
+def _residual(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
+    if transfer.fit is None:
+        return
+    weights = transfer.fit.weights
+    best = transfer.fit.fits[max(weights, key=lambda name: weights[name])]
+    levels = [v for v in transfer.levels if v.used]
+    axis.plot([v.mean_dn for v in levels], best.residuals[: len(levels)], "o-", color=color, markersize=4, linewidth=0.6)
+    axis.set_title(f"{best.name}: chi2 {best.chi2:.1f} / {best.dof}", fontsize="small")
+
+
+def _pattern(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
+    levels = [v for v in transfer.levels if v.used and v.fixed is not None and v.fixed.pixel.value > 0]
+    mean = np.array([v.mean_dn for v in levels])
+    axis.plot(mean, [np.sqrt(v.fixed.pixel.value) for v in levels if v.fixed is not None], "o", color=color, markersize=4)
+    if np.isfinite(transfer.prnu.value):
+        axis.plot(mean, transfer.prnu.value / 100 * mean, "-", color=color, linewidth=0.8, label=f"PRNU {transfer.prnu}")
+        axis.legend(fontsize="small")
+
+
+def patch_figure(tables: Mapping[str, PatchTable]) -> Figure:
+    """Noise against mean of accepted patches, one panel a method."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5 * len(tables), 4), layout="constrained")
+    for axis, (name, table) in zip(np.atleast_1d(figure.subplots(1, len(tables))), tables.items(), strict=True):
+        mean = [p.mean_dn for p in table.accepted]
+        std = [p.temporal_std_dn if table.method == "two_frame" else p.spatial_std_dn for p in table.accepted]
+        axis.plot(mean, std, ".", markersize=3)
+        axis.set(
+            xlabel="mean above black (DN)", ylabel="standard deviation (DN)", title=f"{name}: {table.pass_rate():.0%} accepted"
+        )
+    return figure
+
+
+def bias_figure(
+    levels_e: Sequence[float], pass_rates: Mapping[str, Sequence[float]], biases: Mapping[str, Sequence[float]]
+) -> Figure:
+    """Pass rate and bias of the accepted standard deviation against level, one line a method."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, rate in pass_rates.items():
+        left.semilogx(levels_e, rate, "o-", label=name)
+    for name, bias in biases.items():
+        right.semilogx(levels_e, 100 * np.asarray(bias), "o-", label=name)
+    right.axhspan(-0.5, 0.5, color="0.9")
+    left.set(xlabel="level (e$^-$)", ylabel="share accepted", ylim=(0, 1.05))
+    right.set(xlabel="level (e$^-$)", ylabel="accepted sd against truth (%)")
+    for axis in (left, right):
+        axis.legend(fontsize="small")
+    return figure
