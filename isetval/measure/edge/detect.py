@@ -207,7 +207,7 @@ def clear_width(image: Float, segment: Segment) -> float:
     )
     values = map_coordinates(image, place, order=1, mode="constant", cval=np.nan)
     near = max(2.0, 2.5 * segment.width_px)
-    outside = np.isnan(values).mean(axis=0) > 0.02
+    outside: NDArray[np.bool_] = np.isnan(values).mean(axis=0) > 0.02
     quarter = max(1, len(along) // 8)
     blocks = np.array(
         [np.nanmean(_filled(part), axis=0) for part in np.array_split(values, max(1, len(along) // quarter), axis=0)]

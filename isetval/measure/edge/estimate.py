@@ -14,6 +14,7 @@ from isetval.measure.edge.locate import EdgeLine, FirstLook
 from isetval.measure.edge.refine import (
     TABLE_REACH,
     TABLE_STEP,
+    Core,
     Geometry,
     NoiseLevel,
     RowShifts,
@@ -41,6 +42,8 @@ MIN_WIDTH_PX = 0.2
 PASSES = 8
 MOVES = 6
 THINNED = 3500
+POLISH = 3
+LINE_DONE_PX = 2e-4
 MODEL_ERROR = 2e-5
 MOVING_ERROR = 2e-3
 ALONG_DONE = 0.0005
@@ -78,30 +81,72 @@ def measure_edge(samples: Samples, look: FirstLook, *, floor: float, choices: Ma
     if chosen.get("order") is not None and line.order > chosen["order"]:
         line = line.with_coefficients(line.coefficients[: chosen["order"] + 1])
     half = 0.5 * max(samples.step_px * samples.values.shape[1], samples.row_step_px * len(samples.y_px))
-    scale = look.bright - look.dark
-    some = thinned(samples, THINNED)
-    width = first_width(some, line, look)
-    geometry, sides = fit_along(some, Geometry(line, half_px=half), width)
+    task = _Task(samples, thinned(samples, THINNED), look.bright - look.dark, look.bright, floor, chosen)
+    width = first_width(task.some, line, look)
+    geometry, sides = fit_along(task.some, Geometry(line, half_px=half), width)
     for _ in range(PASSES):
-        sides = SideNoise(max(sides.dark, floor), max(sides.bright, floor))
-        moved = locate(samples, geometry, width, sides, scale=scale, floor=floor, order=chosen.get("order"))
-        geometry = moved.geometry
-        width = moved.width_px
-        if "width_index" in chosen:
-            width = smooth.width_of(int(chosen["width_index"]))
-        before = geometry.gain
-        geometry, sides = fit_along(some, geometry, width)
-        fit, noise, binned, distance = _whole(samples, geometry, width, moved.fit, floor=floor, chosen=chosen)
-        across = [float(np.clip(g + c, -0.8, 0.8)) for g, c in zip(geometry.gain[3:], fit.coefficients[2:4], strict=True)]
-        noisy = 3 * float(np.sqrt(noise.bright / some.values.size)) / look.bright
-        along_done = max(abs(a - b) for a, b in zip(before[:3], geometry.gain[:3], strict=True)) < ALONG_DONE + noisy
-        if along_done and float(np.abs(fit.coefficients[2:4]).max()) < ACROSS_DONE + 5 * noisy:
+        moved = locate(task, geometry, width, sides)
+        geometry, width = moved.geometry, moved.width_px
+        before = geometry
+        geometry, sides = fit_along(task.some, geometry, width)
+        whole = _whole(task, geometry, width, moved.fit)
+        if _lit_alike(task, before, geometry, whole):
             break
+        across = [float(np.clip(g + c, -0.8, 0.8)) for g, c in zip(geometry.gain[3:], whole.fit.coefficients[2:4], strict=True)]
         geometry = Geometry(geometry.line, (*geometry.gain[:3], across[0], across[1]), half)
+    whole, geometry, shifts, row_chi2 = _polished(task, geometry, whole, sides)
+    fit = whole.fit
     made = {"order": geometry.line.order, "width_index": smooth.width_index(fit.width_px), "even": fit.even, "odd": fit.odd}
-    information = max(float(moved.shifts.weight.sum()), 1e-300)
-    roughness = float(np.sqrt(max((moved.row_chi2 - 1) * len(samples.y_px) / information, 0.0)))
-    return Estimate(geometry, fit, noise, binned, distance, roughness, float(1 / np.sqrt(information)), made)
+    information = max(float(shifts.weight.sum()), 1e-300)
+    roughness = float(np.sqrt(max((row_chi2 - 1) * len(samples.y_px) / information, 0.0)))
+    edge_sigma = float(1 / np.sqrt(information))
+    return Estimate(geometry, fit, whole.noise, whole.binned, whole.distance_px, roughness, edge_sigma, made)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What stays the same while one edge is fitted."""
+
+    samples: Samples
+    some: Samples
+    step: float
+    bright: float
+    floor: float
+    chosen: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """Fit of all samples."""
+
+    fit: EsfFit
+    noise: NoiseLevel
+    binned: Binned
+    distance_px: Float
+
+
+def _lit_alike(task: _Task, before: Geometry, after: Geometry, whole: _Whole) -> bool:
+    """Whether the illumination has stopped changing, up to its own noise."""
+    noisy = 3 * float(np.sqrt(whole.noise.bright / task.some.values.size)) / task.bright
+    change = max(abs(a - b) for a, b in zip(before.gain[:3], after.gain[:3], strict=True))
+    return change < ALONG_DONE + noisy and float(np.abs(whole.fit.coefficients[2:4]).max()) < ACROSS_DONE + 5 * noisy
+
+
+def _polished(task: _Task, geometry: Geometry, whole: _Whole, sides: SideNoise) -> tuple[_Whole, Geometry, RowShifts, float]:
+    """Line once more against the final ESF, and the ESF again if the line still moves."""
+    samples, order = task.samples, task.chosen.get("order")
+    for turn in range(POLISH + 1):
+        core = core_of(samples, geometry.line, whole.fit.width_px)
+        values, distance, cosine = core_values(samples, geometry, core)
+        noise = SideNoise(whole.noise.dark, whole.noise.bright)
+        shifts = row_shifts(core, values, distance, cosine, whole.fit, noise)
+        line, row_chi2 = update_line(geometry.line, samples, shifts, order=order)
+        moved = _moved(geometry.line, line)
+        if turn == POLISH or moved < LINE_DONE_PX + 0.15 / np.sqrt(max(float(shifts.weight.sum()), 1e-9)):
+            break
+        geometry = Geometry(line, geometry.gain, geometry.half_px)
+        whole = _whole(task, geometry, whole.fit.width_px, whole.fit)
+    return whole, geometry, shifts, row_chi2
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +156,21 @@ class Located:
     geometry: Geometry
     width_px: float
     fit: EsfFit
-    shifts: RowShifts
-    row_chi2: float
 
 
-def locate(
-    samples: Samples, geometry: Geometry, width: float, sides: SideNoise, *, scale: float, floor: float, order: int | None
-) -> Located:
+def core_values(samples: Samples, geometry: Geometry, core: Core) -> tuple[Float, Float, Float]:
+    """Values with the illumination removed and distances of the core's samples (rows, k); cosine of the slope (rows,)."""
+    x, slope, bend = geometry.line.at_rows(samples)
+    distance = normal_distance(core.x_px - x[:, None], slope, bend, geometry.line)
+    row, column = along_edge(samples, geometry.line)
+    values = core.values / gain_at(geometry, row + column[core.column], distance)
+    return values, distance, geometry.line.sign / np.sqrt(1 + slope**2)
+
+
+def locate(task: _Task, geometry: Geometry, width: float, sides: SideNoise) -> Located:
     """Refine the line on the samples near it: ESF and line in turns until both rest."""
+    samples, floor = task.samples, task.floor
+    sides = SideNoise(max(sides.dark, floor), max(sides.bright, floor))
     core = core_of(samples, geometry.line, width)
     anchor = geometry.line.coefficients[0]
     fit: EsfFit | None = None
@@ -126,18 +178,14 @@ def locate(
         width = smooth.width_of(smooth.width_index(width))
         if turn and abs(geometry.line.coefficients[0] - anchor) > 1.0 + 0.5 * width:
             core, anchor = core_of(samples, geometry.line, width), geometry.line.coefficients[0]
-        x, slope, bend = geometry.line.at_rows(samples)
-        distance = normal_distance(core.x_px - x[:, None], slope, bend, geometry.line)
-        row, column = along_edge(samples, geometry.line)
-        values = core.values / gain_at(geometry, row + column[core.column], distance)
+        values, distance, cosine = core_values(samples, geometry, core)
         binned = gather(values, distance, width) if core.whole else gather(values[core.inside], distance[core.inside], width)
-        level = _level(binned, fit)
-        variance = sides.dark + (sides.bright - sides.dark) * np.clip(level, 0, 1)
-        variance = variance + binned.number * _common_error(sides, floor, scale, full=False)
-        fit = fit_esf(binned, variance, shading=None, scale=scale, full=False)
-        cosine = geometry.line.sign / np.sqrt(1 + slope**2)
+        level = np.clip(_level(binned, fit), 0, 1)
+        variance = sides.dark + (sides.bright - sides.dark) * level
+        variance = variance + binned.number * _common_error(sides, floor, task.step, full=False)
+        fit = fit_esf(binned, variance, shading=None, scale=task.step, full=False)
         shifts = row_shifts(core, values, distance, cosine, fit, sides)
-        line, row_chi2 = update_line(geometry.line, samples, shifts, order=order)
+        line, _ = update_line(geometry.line, samples, shifts, order=task.chosen.get("order"))
         center, wide = center_and_width(fit)
         line = _shifted(line, center)
         moved = _moved(geometry.line, line)
@@ -147,24 +195,24 @@ def locate(
         if moved < enough and abs(width / old - 1) < 0.03:
             break
     assert fit is not None
-    return Located(geometry, width, fit, shifts, row_chi2)
+    return Located(geometry, width, fit)
 
 
-def _whole(
-    samples: Samples, geometry: Geometry, width: float, rough: EsfFit, *, floor: float, chosen: dict[str, Any]
-) -> tuple[EsfFit, NoiseLevel, Binned, Float]:
+def _whole(task: _Task, geometry: Geometry, width: float, rough: EsfFit) -> _Whole:
     """The ESF from all samples."""
+    if "width_index" in task.chosen:
+        width = smooth.width_of(int(task.chosen["width_index"]))
     width = smooth.width_of(smooth.width_index(width))
-    distance = distances(samples, geometry.line)
-    binned = gather(samples.values / gain_of(samples, geometry, distance), distance, width)
-    noise = noise_level(binned, floor=max(floor, (1e-5 * rough.step) ** 2))
+    distance = distances(task.samples, geometry.line)
+    binned = gather(task.samples.values / gain_of(task.samples, geometry, distance), distance, width)
+    noise = noise_level(binned, floor=max(task.floor, (1e-5 * rough.step) ** 2))
     level = _level(binned, rough)
-    variance = noise.at(level) + binned.number * _common_error(noise, floor, rough.step, full=True)
+    variance = noise.at(level) + binned.number * _common_error(noise, task.floor, rough.step, full=True)
     place = binned.distance * (width / geometry.half_px)
     light = rough.dark + rough.step * level
     shading = np.column_stack([light * place, light * place**2])
-    fit = fit_esf(binned, variance, shading=shading, scale=rough.step, choices=chosen, full=True)
-    return fit, noise, binned, distance
+    fit = fit_esf(binned, variance, shading=shading, scale=rough.step, choices=task.chosen, full=True)
+    return _Whole(fit, noise, binned, distance)
 
 
 def _shifted(line: EdgeLine, normal_px: float) -> EdgeLine:

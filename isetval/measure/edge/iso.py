@@ -206,6 +206,8 @@ def _report(
     factor = (GROUPS - 1) / GROUPS
     sigma_curve = np.sqrt(factor * sum((p[0] - curve) ** 2 for p in parts))
     sigma = np.sqrt(factor * sum((p[1] - found) ** 2 for p in parts))
+    if procedure.grid_cy_mm is not None:
+        sigma = np.hypot(sigma, procedure.grid_cy_mm * pixel_um * 1e-3 / np.sqrt(12))  # a value on a grid
     _, _, esf, distance, angle = _curve(samples, procedure, sign)
     normal = analysis.normal_direction(float(np.tan(np.radians(angle))), sign, transposed=samples.transposed)
     low, high = (float(np.mean(part)) for part in (esf[: len(esf) // 8], esf[-(len(esf) // 8) :]))

@@ -241,4 +241,4 @@ def transitions(values: Float, dark: float, bright: float, noise: float) -> Tran
     sign = np.sign((change * real).sum(axis=1))
     single = count == 1
     up, down = float(np.mean(single & (sign > 0))), float(np.mean(single & (sign < 0)))
-    return Transitions(float(np.mean(count > 1)), min(up, down), step > 2.5 * noise)
+    return Transitions(float(np.mean(count > 1)), min(up, down), step > 3.2 * noise)

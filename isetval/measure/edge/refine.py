@@ -96,7 +96,7 @@ def fit_along(samples: Samples, geometry: Geometry, width_px: float) -> tuple[Ge
         return geometry, SideNoise(1.0, 1.0)
     gain = gain_at(geometry, along, distance)
     place, across = along * (1 / geometry.half_px), distance * (1 / geometry.half_px)
-    cell = (distance * (1 / max(width_px, 2.0)) + 4096.5).astype(np.intp)
+    cell = (distance * (1 / max(width_px, 2.0)) + 4096.0).astype(np.intp)  # no cell holds both sides
     cell -= int(cell.min())
     number = np.maximum(np.bincount(cell), 1)
     esf = (np.bincount(cell, value / gain) / number)[cell]

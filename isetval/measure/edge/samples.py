@@ -58,16 +58,17 @@ class Samples:
         return np.asarray(self.x0_px[:, None] + self.step_px * np.arange(self.values.shape[1]))
 
     def every(self, k: int) -> Samples:
-        """Every ``k``-th row."""
+        """Every ``k``-th row, as symmetric about the middle as can be."""
+        start = ((len(self.y_px) - 1) % k) // 2
         return Samples(
-            self.values[::k],
-            self.x0_px[::k],
-            self.y_px[::k],
+            self.values[start::k],
+            self.x0_px[start::k],
+            self.y_px[start::k],
             self.step_px,
             self.row_step_px * k,
             self.transposed,
-            self.clipped_high[::k],
-            self.clipped_low[::k],
+            self.clipped_high[start::k],
+            self.clipped_low[start::k],
         )
 
     def flipped(self) -> Samples:

@@ -56,7 +56,8 @@ def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | N
     """Code and sentence if the rows do not agree on one edge."""
     dark, bright = two_levels(samples.values)
     noise = pixel_noise(samples.values)
-    seen = transitions(samples.values, dark, bright, noise)
+    rough = 0.63 * float(np.mean(np.abs(samples.values[::3, 1:] - samples.values[::3, :-1])))
+    seen = transitions(samples.values, dark, bright, max(noise, rough))
     if seen.clear and (seen.several > 0.2 or seen.against > 0.2):
         return "two_edges", (
             f"{100 * seen.several:.0f} % of the rows cross between dark and bright more than once"
@@ -73,11 +74,24 @@ def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | N
             "place the region on one edge"
         )
     if first_width(samples, look.line, look) > 0.12 * reach:
+        if _is_sharp(samples.values, bright - dark):
+            return (
+                "two_edges",
+                "the rows change abruptly more than once or at different places; choose a region with a single edge",
+            )
         return (
             "no_edge",
             f"the level changes smoothly over a quarter of the {reach:g} px or more: no edge, or too blurred for the region",
         )
     return None
+
+
+def _is_sharp(values: Float, step: float) -> bool:
+    """Whether a quarter of the rows change by a third of the step within three samples."""
+    walk = np.cumsum(values[::2], axis=1)
+    mean = (walk[:, 3:] - walk[:, :-3]) / 3
+    steepest = np.abs(mean[:, 3:] - mean[:, :-3]).max(axis=1)
+    return float(np.quantile(steepest, 0.75)) > step / 3
 
 
 def misfit(samples: Samples, look: FirstLook, estimate: Estimate) -> str | None:
