@@ -115,13 +115,25 @@ def difference_variance(values: Float, mask: Bool | None = None) -> Float:
     if mask is not None:
         pairs = (mask[:, :, 1:] & mask[:, :, :-1]).reshape(len(values), -1), (mask[:, 1:] & mask[:, :-1]).reshape(len(values), -1)
         both = np.where(np.concatenate(pairs, axis=1), both, np.nan)
+        if not np.isfinite(both).any(axis=1).all():
+            return np.full(len(values), LEAST_VARIANCE)
     square = both**2
-    plain = np.nanmean(square, axis=1)
-    robust = np.nanmedian(square, axis=1) / 0.45493642311957283
-    cut = np.where(robust > 0.5, CUT_SIGMAS**2 * robust, np.maximum(CUT_SIGMAS**2 * plain, 1.0))
-    inside = square <= cut[:, None]
-    half = np.where(inside, square, 0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1) / (2 * CUT_SHARE)
+    mean = np.mean if mask is None else np.nanmean
+    plain = mean(square, axis=1)
+    half = plain / 2
+    highest = (np.max if mask is None else np.nanmax)(square, axis=1)
+    # without a far difference the cut would change nothing
+    for k in np.flatnonzero(highest > CUT_SIGMAS**2 * plain):
+        half[k] = _cut_variance(square[k], float(plain[k]))
     return np.asarray(np.maximum(half, LEAST_VARIANCE))
+
+
+def _cut_variance(square: Float, plain: float) -> float:
+    """Half the mean of the squared differences below 4 robust sigma, corrected for the cut."""
+    robust = float(np.nanmedian(square)) / 0.45493642311957283
+    limit = CUT_SIGMAS**2 * robust if robust > 0.5 else max(CUT_SIGMAS**2 * plain, 1.0)
+    inside = square[square <= limit]
+    return float(inside.mean()) / (2 * CUT_SHARE) if inside.size else plain / 2
 
 
 def patch_statistics(stack: NDArray[np.uint16], *, black_dn: float, white_dn: float) -> tuple[NDArray[np.generic], ...]:
@@ -130,12 +142,12 @@ def patch_statistics(stack: NDArray[np.uint16], *, black_dn: float, white_dn: fl
     count = values[0].size
     variance = difference_variance(values)
     flat = values.reshape(len(values), -1)
-    middle = np.median(flat, axis=1)
+    middle = flat.mean(axis=1)
     total = flat.var(axis=1, ddof=1)
     clipped = ((stack >= white_dn) | (stack == 0)).sum(axis=(1, 2))
     # only a patch with a far pixel is worth a second look: shading widens the limit
     limit = BAD_SIGMAS * np.sqrt(np.maximum(total, variance)) + 1
-    mean, bad = flat.mean(axis=1), np.zeros(len(values), dtype=np.int64)
+    mean, bad = middle.copy(), np.zeros(len(values), dtype=np.int64)
     far = np.abs(flat - middle[:, None]).max(axis=1) > np.minimum(limit, BAD_SIGMAS * np.sqrt(variance) + 1)
     for k in np.flatnonzero(far):
         good = good_pixels(values[k], float(variance[k]))

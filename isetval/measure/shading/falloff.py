@@ -22,6 +22,7 @@ Float = NDArray[np.float64]
 BLOCK_PX = 24
 FIRST_ORDER = 5
 DROP_SIGMAS = 5.0
+LEAST_SIGNAL = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +211,11 @@ def _check_signal(blocks: Mapping[str, Blocks]) -> None:
                 f"({part.clipped_blocks} clipped); at most half may be: expose less"
             )
         signal, noise = float(np.median(part.signal_dn[part.used])), float(np.median(part.sigma_dn[part.used]))
-        if signal < 10 * noise or signal <= 0:
+        overall = noise / np.sqrt(part.used.sum())
+        if signal < LEAST_SIGNAL * overall:
             raise MeasurementError(
-                f"plane {plane}: the median signal above black is {signal:.2f} DN with noise {noise:.2f} DN per block; "
-                "a fall-off needs at least 10 times the noise: expose longer, average frames or check the black level"
+                f"plane {plane}: the median signal above black is {signal:.2f} DN, known to {overall:.3f} DN from all blocks; "
+                f"a fall-off needs at least {LEAST_SIGNAL} times that: expose longer, average frames or check the black level"
             )
 
 
@@ -328,11 +330,11 @@ def _settle(points: Sequence[Points], *, radial: Radial, geometry: str | None) -
     for name in wanted:
         surface = fit_surface(points, radial=radial, geometry=name)
         spread = np.sqrt(np.maximum(np.diag(surface.covariance)[-4:-2], 0)).max()
-        if name == "none" or geometry or (surface.converged and spread < 0.1 * radial.radius_mm):
+        if name == "none" or geometry or (surface.converged and 0 < spread < 0.1 * radial.radius_mm):
             break
     _check_reach(points, surface)
     notes = {
-        "none": "the windows do not surround the middle well enough to fit a centre: the sensor's middle is used",
+        "none": "fall-off or layout of the data do not determine a centre: the sensor's middle is used",
         "center": "centre and tilt cannot be told apart with these data: the tilt is taken as 0",
     }
     return surface, name, () if geometry or name not in notes else (notes[name],)
