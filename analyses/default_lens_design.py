@@ -113,7 +113,7 @@ def residuals(v: np.ndarray, f_number: float, field_deg: float, wavelengths: tup
             chief = np.degrees(np.arctan2(direction[1, :, 0], -direction[2, :, 0]))
             parts.append(np.maximum(chief - 36, 0) * 3)
         miss = (hit - reference[:, :, None]) * 1e3
-        weight = np.sqrt(1 / len(wavelengths)) * np.append(1.4 - 0.9 * (angles[:-1] / angles[-2]) ** 2, 0.12)
+        weight = np.sqrt(1 / len(wavelengths)) * np.append(1.2 - 0.4 * (angles[:-1] / angles[-2]) ** 2, 0.12)
         parts.append((np.arcsinh(miss / 60) * 60 * weight[None, :, None]).ravel() * 0.3)
     return np.concatenate([*parts, penalties(p, v)])
 

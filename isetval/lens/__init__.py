@@ -10,7 +10,7 @@ _NAMES = {
     "audit_file": "isetval.lens.auditing",
     "default_lens": "isetval.lens.stored",
     "from_rays": "isetval.lens.fit",
-    "load_lens": "isetval.lens.ray_transfer",
+    "load_lens": "isetval.lens.transfer_file",
 }
 __all__ = sorted(_NAMES)
 __getattr__, __dir__ = lazy_names(__name__, _NAMES)

@@ -17,8 +17,9 @@ from isetval.lens.contradictions import Findings, Flag, find_flags
 from isetval.lens.evidence import entrance_pupil, ray_jacobian
 from isetval.lens.focus import axial_color_um, film_for_object, object_for_film
 from isetval.lens.illumination import distortion_percent, effective_f_number, field_angle_deg, focal_length_mm
-from isetval.lens.ray_transfer import RayTransferLens, load_lens
+from isetval.lens.ray_transfer import RayTransferLens
 from isetval.lens.stored import StatedFacts, stated_facts
+from isetval.lens.transfer_file import load_lens
 
 SENSOR_DIAGONAL_MM = 7.056
 OBJECTS_M = (math.inf, 10.0, 3.0, 1.0, 0.5, 0.3, 0.1)
@@ -152,11 +153,19 @@ def audit(
     if film_mm is not None:
         facts = replace(facts, film_mm=film_mm)
     corner = (facts.sensor_diagonal_mm or SENSOR_DIAGONAL_MM) / 2
-    r = np.linspace(0.0, corner, 22)
-    film = facts.film_mm
-    f_number = float(effective_f_number(lens, film_mm=film))
+    result = _measured(lens, facts, corner, file, sha256)
     _, determinant = ray_jacobian(lens)
-    result = LensAudit(
+    stated = tuple((s.film_mm, s.stated_object_m, s.found_object_m, s.needed_film_mm) for s in result.stated_focus)
+    findings = Findings(lens, result.f_number, facts, corner, result.focal_length_mm, determinant, stated)
+    spread = (float(determinant.min()), float(determinant.mean()), float(determinant.max()))
+    return replace(result, etendue_ratio=spread, flags=find_flags(findings))
+
+
+def _measured(lens: RayTransferLens, facts: StatedFacts, corner_mm: float, file: str, sha256: str) -> LensAudit:
+    """The numbers of an audit, without its flags."""
+    r, film = np.linspace(0.0, corner_mm, 22), facts.film_mm
+    f_number = float(effective_f_number(lens, film_mm=film))
+    return LensAudit(
         file=file,
         sha256=sha256,
         name=lens.name,
@@ -177,22 +186,12 @@ def audit(
         focus=_focus(lens),
         stated_focus=_stated_focus(lens, facts.focus_object_m),
         axial_color_um=axial_color_um(lens) if len(lens.tables) > 1 else {},
-        etendue_ratio=(float(determinant.min()), float(determinant.mean()), float(determinant.max())),
+        etendue_ratio=(1.0, 1.0, 1.0),
         table_end_mm=lens.table().region.last_position_mm,
-        sensor_corner_mm=corner,
+        sensor_corner_mm=corner_mm,
         stated_source=facts.source,
         flags=(),
     )
-    findings = Findings(
-        lens,
-        result.f_number,
-        facts,
-        corner,
-        result.focal_length_mm,
-        determinant,
-        tuple((s.film_mm, s.stated_object_m, s.found_object_m, s.needed_film_mm) for s in result.stated_focus),
-    )
-    return replace(result, flags=find_flags(findings))
 
 
 def audit_file(path: str | Path, **stated: Any) -> LensAudit:

@@ -1,4 +1,4 @@
-"""Ray-transfer lens: reading and saving the ISET JSON, and tracing rays from the film into the scene.
+"""Ray-transfer lens: tracing rays from the film into the scene (files: `isetval.lens.transfer_file`).
 
 Geometry (mm, +z towards the scene, z = 0 at the rear vertex): the film lies at z = -F, the input
 plane at z = -a (``plane_offset_input_mm``), the output plane beyond the front vertex.  A ray is cut
@@ -8,7 +8,6 @@ region, sent through the polynomials in (r, dx, dy), and rotated back.
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 from collections.abc import Mapping
@@ -21,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from isetval.core.errors import InputError
-from isetval.lens.pass_region import PassRegion, region_from_json
-from isetval.lens.polynomials import OUTPUTS, FloatArray, OutputPolynomial, RayPolynomials
+from isetval.lens.pass_region import PassRegion
+from isetval.lens.polynomials import FloatArray, RayPolynomials
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -250,98 +249,9 @@ class RayTransferLens:
     # ---- files --------------------------------------------------------------------------------
     def save(self, path: str | Path) -> None:
         """Write the lens as an ISET ray-transfer JSON (whole or not at all)."""
+        from isetval.lens.transfer_file import to_json
+
         target = Path(path)
         partial = target.with_name(target.name + ".part")
         partial.write_text(json.dumps(to_json(self), indent=1) + "\n", encoding="utf-8")
         partial.replace(target)
-
-
-def to_json(lens: RayTransferLens) -> dict[str, Any]:
-    """The lens as the object that an ISET ray-transfer file holds."""
-    return {
-        "description": lens.description,
-        "name": lens.name,
-        "thickness": lens.thickness_mm,
-        "planeoffsetoutput": lens.plane_offset_output_mm,
-        "planeoffsetinput": lens.plane_offset_input_mm,
-        **copy.deepcopy(dict(lens.extra)),
-        "polynomials": [
-            {
-                "wavelength_nm": table.wavelength_nm,
-                "passnopass": table.region.to_json(),
-                "poly": [_output_json(name, table.polynomials.outputs[name]) for name in OUTPUTS],
-            }
-            for table in lens.tables
-        ],
-    }
-
-
-def _output_json(name: str, p: OutputPolynomial) -> dict[str, Any]:
-    """One entry of the ``poly`` list."""
-    termr, termdx, termdy = p.exponents.T.tolist()
-    return {"outputname": name, "coeff": p.coefficients.tolist(), "termr": termr, "termdx": termdx, "termdy": termdy}
-
-
-def load_lens(path: str | Path) -> RayTransferLens:
-    """Read an ISET ray-transfer JSON.
-
-    Raises
-    ------
-    InputError
-        The file is missing, is no JSON, or lacks an entry; the message names it.
-    """
-    file = Path(path)
-    try:
-        source = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"lens file {file}: cannot be read ({error.strerror}); give an ISET ray-transfer JSON") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"lens file {file}: not JSON ({error}); give an ISET ray-transfer JSON") from None
-    try:
-        return from_json(source)
-    except InputError as error:
-        raise InputError(f"lens file {file}: {error}") from None
-
-
-def from_json(source: Any) -> RayTransferLens:
-    """A lens from the object of an ISET ray-transfer file."""
-    if not isinstance(source, dict) or not source.get("polynomials"):
-        raise InputError("no 'polynomials' list; is this a ray-transfer file?")
-    entries = source["polynomials"]
-    known = ("description", "name", "thickness", "planeoffsetoutput", "planeoffsetinput", "polynomials")
-    tables = [_table_from_json(entry) for entry in (entries if isinstance(entries, list) else [entries])]
-    return RayTransferLens(
-        name=str(source.get("name", "")),
-        description=str(source.get("description", "")),
-        thickness_mm=_number(source, "thickness"),
-        plane_offset_input_mm=_number(source, "planeoffsetinput"),
-        plane_offset_output_mm=_number(source, "planeoffsetoutput"),
-        tables=tuple(sorted(tables, key=lambda t: t.wavelength_nm)),
-        extra={k: v for k, v in source.items() if k not in known},
-    )
-
-
-def _number(source: Mapping[str, Any], key: str) -> float:
-    """A finite number of the file, or an error that names the key."""
-    value = source.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"'{key}' is {value!r}; a finite number is needed")
-    return float(value)
-
-
-def _table_from_json(entry: Any) -> WavelengthTable:
-    """One wavelength entry."""
-    if not isinstance(entry, dict) or not isinstance(entry.get("passnopass"), dict) or not isinstance(entry.get("poly"), list):
-        raise InputError("a 'polynomials' entry needs 'wavelength_nm', 'passnopass' and 'poly'")
-    outputs = {}
-    for item in entry["poly"]:
-        try:
-            exponents = np.stack([np.atleast_1d(np.asarray(item[k], np.int64)) for k in ("termr", "termdx", "termdy")], axis=1)
-            coefficients = np.atleast_1d(np.asarray(item["coeff"], np.float64))
-            name = str(item["outputname"])
-        except (KeyError, TypeError, ValueError):
-            raise InputError("a 'poly' entry needs outputname, coeff, termr, termdx, termdy of equal length") from None
-        if len(exponents) != len(coefficients) or (exponents < 0).any() or not np.isfinite(coefficients).all():
-            raise InputError(f"polynomial {name}: {len(coefficients)} finite coefficients need as many non-negative powers")
-        outputs[name] = OutputPolynomial(exponents, coefficients)
-    return WavelengthTable(_number(entry, "wavelength_nm"), region_from_json(entry["passnopass"]), RayPolynomials(outputs))

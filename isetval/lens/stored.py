@@ -9,7 +9,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from isetval.core.errors import InputError, MissingPartError
-from isetval.lens.ray_transfer import RayTransferLens, load_lens
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.transfer_file import load_lens
 
 DEFAULT_LENS = "default_lens.json"
 

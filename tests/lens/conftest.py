@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from isetval.lens.ray_transfer import RayTransferLens, load_lens
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.transfer_file import load_lens
 
 PIXEL4A = Path(__file__).resolve().parents[3] / "shared" / "data" / "pixel4a"
 

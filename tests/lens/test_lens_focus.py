@@ -22,7 +22,8 @@ from isetval.lens.focus import (
 )
 from isetval.lens.polynomials import RayPolynomials
 from isetval.lens.psf import geometric_otf, lsf, mtf, psf_image, spot
-from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable, load_lens
+from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
+from isetval.lens.transfer_file import load_lens
 
 
 @pytest.mark.parametrize("object_m", [math.inf, 1.0, 0.5, 0.3, 0.1])

@@ -16,7 +16,8 @@ from isetval.lens.illumination import (
     focal_length_mm,
     irradiance_factor,
 )
-from isetval.lens.ray_transfer import RayTransferLens, load_lens
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.transfer_file import load_lens
 
 FILM_MM = 0.465136  # film of the published relative-illumination comparison
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from isetval.core.errors import InputError
-from isetval.lens.ray_transfer import RayTransferLens, load_lens
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.transfer_file import load_lens
 
 
 def trace_one(source: dict, film_mm: float, x: float, y: float, dx: float, dy: float) -> tuple[list[float], bool]:
