@@ -286,6 +286,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--seed", type=int, default=2026)
+    parser.add_argument("--name", default="photon_transfer", help="name of the files in reports/")
     options = parser.parse_args()
     start = time.perf_counter()
     few = max(options.trials // 10, 3)
@@ -297,8 +298,8 @@ def main() -> None:
     print(json.dumps(real, indent=1))
     out = ROOT / "reports"
     out.mkdir(exist_ok=True)
-    (out / "photon_transfer.json").write_text(json.dumps({"seed": options.seed, "rows": rows, "real": real}, indent=1))
-    figure(out / "photon_transfer.png", options.seed)
+    (out / f"{options.name}.json").write_text(json.dumps({"seed": options.seed, "rows": rows, "real": real}, indent=1))
+    figure(out / f"{options.name}.png", options.seed)
     print(f"{time.perf_counter() - start:.0f} s")
 
 

@@ -55,7 +55,7 @@ def published_rule(
 ) -> list[Patch]:
     """Apply the published rule for uniform regions to one frame.
 
-    A patch is rejected when any value differs from the median by more than three Poisson sd, sqrt(median K); or when,
+    A patch is rejected when its raw mean is at most 2 DN or above .997 of white; when any value differs from the median by more than three Poisson sd, sqrt(median K); or when,
     over 20 % of the values drawn with replacement and held out, the error of a constant exceeds 1.02 times the
     error of a second-degree surface fitted to the others.
 
@@ -71,7 +71,9 @@ def published_rule(
     out = []
     for row, col in corners:
         values, y, x = _values(capture, (int(row), int(row) + size, int(col), int(col) + size), channel)
-        reason = _verdict(values, y, x, gain_dn_per_e, rng, capture.sensor.white_dn)
+        raw = float(values.mean()) + float(np.mean(capture.sensor.black_dn))
+        white = capture.sensor.white_dn
+        reason = "out_of_range" if raw <= 2 or raw > 0.997 * white else _verdict(values, y, x, gain_dn_per_e, rng)
         std = float(np.std(values, ddof=1))
         n = values.size
         region = (int(row), int(row) + size, int(col), int(col) + size)
@@ -96,10 +98,8 @@ def _values(capture: Capture, region: Roi, channel: str) -> tuple[Float, Float, 
     return np.concatenate(values), np.concatenate(rows).astype(float), np.concatenate(cols).astype(float)
 
 
-def _verdict(values: Float, y: Float, x: Float, gain: float, rng: np.random.Generator, white_dn: float) -> str:
+def _verdict(values: Float, y: Float, x: Float, gain: float, rng: np.random.Generator) -> str:
     median = float(np.median(values))
-    if values.mean() <= 2 or values.mean() > 0.997 * white_dn:
-        return "out_of_range"
     if np.any(np.abs(values - median) > 3 * math.sqrt(max(median * gain, 0.0))):
         return "outlier"
     held = np.unique(rng.integers(0, values.size, max(values.size // 5, 1)))

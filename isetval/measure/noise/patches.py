@@ -203,8 +203,12 @@ def _patch_moments(stack: Float, white: float) -> tuple[float, float, float, str
         average / level if level > 0 and level**2 * pixels > 100 * float(np.var(stack[0] - stack[-1])) else np.ones_like(average)
     )
     rest = stack - average - (means - level)[:, None, None] * texture
+    squares = np.einsum("fij,fij->ij", rest, rest)
+    total = float(squares.sum())
+    # taking the frame's level out along the texture T costs 2 <T V> / <V> - <T^2> degrees of freedom, 1 where T = 1
+    lost = 2 * float((texture * squares).sum()) / total - float(np.mean(texture**2)) if total > 0 else 1.0
     dof = (frames - 1) * (pixels - 1)
-    temporal = float(np.vdot(rest, rest)) / dof
+    temporal = total / ((frames - 1) * (pixels - min(max(lost, 0.0), pixels / 2)))
     spatial = float(np.var(average, ddof=1)) if pixels > 1 else math.nan
     reason = ""
     if np.mean(stack >= white) > 0:

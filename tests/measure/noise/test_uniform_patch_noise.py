@@ -30,6 +30,7 @@ def test_texture_and_shade_do_not_bias_two_frames():
     rng = np.random.default_rng(75)
     scene = 300 * (1 + 0.3 * rng.standard_normal((300, 300))).clip(0.2, 2)
     scene *= np.linspace(0.5, 1.5, 300)
+    scene[:, :100] = np.where(np.arange(100) // 5 % 2, 60.0, 600.0)  # stripes: every patch holds an edge
     camera = NoiseCamera(rng, (300, 300))
     table = uniform_patches(camera.shoot(1.0, 2, shade=scene, drift=0.01))
     measured = np.array([p.temporal_std_dn**2 for p in table.accepted])
