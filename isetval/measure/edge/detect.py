@@ -207,7 +207,7 @@ def clear_width(image: Float, segment: Segment) -> float:
     )
     values = map_coordinates(image, place, order=1, mode="constant", cval=np.nan)
     near = max(2.0, 2.5 * segment.width_px)
-    outside: NDArray[np.bool_] = np.isnan(values).mean(axis=0) > 0.02
+    outside = np.flatnonzero(np.isnan(values).sum(axis=0) > 0.02 * len(values))
     quarter = max(1, len(along) // 8)
     blocks = np.array(
         [np.nanmean(_filled(part), axis=0) for part in np.array_split(values, max(1, len(along) // quarter), axis=0)]
@@ -226,7 +226,7 @@ def clear_width(image: Float, segment: Segment) -> float:
         worst = np.abs(blocks[:, order] - level).max(axis=0)
         # shading may change the level along the way; half of the step is another structure
         limit = max(CLEAR_LEVEL, 3 * segment.noise / step) * step
-        blocked = np.flatnonzero((worst > limit) | outside[order])
+        blocked = np.flatnonzero((worst > limit) | np.isin(order, outside))
         stop = int(blocked[0]) if len(blocked) else len(order)
         extents.append(float(np.abs(across[order[stop - 1]])) if stop > 0 else near)
     return min(extents)
@@ -234,7 +234,7 @@ def clear_width(image: Float, segment: Segment) -> float:
 
 def _filled(part: Float) -> Float:
     """The block without columns that are all NaN (outside the image)."""
-    gone = np.isnan(part).all(axis=0)
+    gone = np.asarray(np.isnan(part).all(axis=0))
     return np.asarray(np.where(gone[None, :], 0.0, part))
 
 

@@ -70,7 +70,7 @@ class LensProfile:
             Without a point of that direction.
         """
         chosen = [p for p in self.points if p.direction in (direction, "center")]
-        if not chosen:
+        if not any(p.direction == direction for p in chosen):
             raise MeasurementError(f"no {direction} edge was accepted; add slanted edges whose normal is {direction}")
         radius = np.array([p.radius_mm for p in chosen])
         value = np.array([p.mtf50_cy_px for p in chosen])

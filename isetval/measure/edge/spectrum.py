@@ -95,17 +95,13 @@ def acutance(frequency_cy_px: Float, mtf: Float, *, pixels_per_degree: float) ->
 
     Notes
     -----
-    integral MTF CSF dv / integral CSF dv with CSF(v) = 75 v^0.8 exp(-0.2 v) / 34.05, v in cycles/degree
+    integral MTF CSF dv / integral CSF dv with CSF(v) ~ v^0.8 exp(-0.2 v), v in cycles/degree up to 120
     (camera phone image quality standard, IEEE 1858).
     """
-    nu = frequency_cy_px * pixels_per_degree
-    csf = 75 * nu**0.8 * np.exp(-0.2 * nu) / 34.05
-    return float(
-        np.trapezoid(mtf * csf, nu)
-        / np.trapezoid(
-            75 * np.linspace(0, 120, 4001) ** 0.8 * np.exp(-0.2 * np.linspace(0, 120, 4001)) / 34.05, np.linspace(0, 120, 4001)
-        )
-    )
+    nu = np.linspace(0, 120, 4001)
+    csf = nu**0.8 * np.exp(-0.2 * nu)
+    curve = np.interp(nu / pixels_per_degree, frequency_cy_px, mtf, right=0.0)
+    return float(np.trapezoid(curve * csf, nu) / np.trapezoid(csf, nu))
 
 
 def esf_curves(fit: EsfFit, reach_px: tuple[float, float]) -> tuple[Float, Float, Float]:
