@@ -67,7 +67,7 @@ def shoot(planned, camera, lights, seed, *, blur_chart=True, draw=True):
     return np.array(frames)
 
 
-def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", "B"), blur_chart=True, draw=True):
+def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", "B"), blur_chart=True, draw=True, short=False):
     """Shoot and write a campaign; the specimen is drawn by ``seed`` too.
 
     Parameters
@@ -78,6 +78,8 @@ def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", 
         Folder with ``camera.toml`` and ``qe.csv`` of the nominal camera.
     hidden : mapping, optional
         Effect name to its parameters (see `truths`).
+    short : bool
+        Darks and flats only, for quick tests.
     draw : bool
         Draw the unknowns; without, every unknown is 0 and the light is steady (tests of this camera).
     """
@@ -86,7 +88,7 @@ def write_campaign(folder, nominal_folder, *, seed, hidden=None, sessions=("A", 
     nominal = nominal_camera(nominal_folder)
     lights = lights_of(nominal)
     camera = specimen_of(nominal, seed, hidden)
-    shots = [planned for name in sessions for planned in plan.session(name)]
+    shots = [planned for name in sessions for planned in plan.session(name, short=short)]
     for planned in shots:
         for i, codes in enumerate(shoot(planned, camera, lights, seed, blur_chart=blur_chart, draw=draw)):
             row0, col0 = planned.place.window[:2]

@@ -33,6 +33,8 @@ FIELD_POINTS = [(0.0, 0.0)] + [
     (x, y) for x, y in ((0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5),
                         (0.95, 0.95), (-0.95, 0.95), (0.95, -0.95), (-0.95, -0.95))
 ]  # fmt: skip
+SHORT_FLATS, SHORT_FIELDS = (0, 2, 4, 6, 8), (0, 2, 6, 9, 12)
+DARK_CORNER = (0.9, 0.85)
 EDGE_POINTS = {"c": (0.0, 0.0), "m": (0.5, 0.4), "o": (-0.75, -0.8)}
 EDGE_ANGLES = {"vertical": 5.2, "horizontal": -4.6}
 FOCUS_UM = (-8.0, 0.0, 8.0)
@@ -58,43 +60,45 @@ def window_at(point, size):
     return (2 * round(row / 2), 2 * round(col / 2), *size)
 
 
-def session(name):
-    """All shots of one measurement session, in the order in which they are taken."""
-    return [*_darks(name), *_flats(name), *_fields(name), *_edges(name), *_charts(name)]
+def session(name, *, short=False):
+    """All shots of one measurement session, in the order in which they are taken.
+
+    The short plan holds darks and flats only, fewer levels and field points: for quick tests.
+    """
+    if short:
+        return [*_darks(name), *_flats(name, SHORT_FLATS, LEVELS_FIXED_TIME[::2]), *_fields(name, SHORT_FIELDS)]
+    rest = [*_edges(name), *_charts(name)]
+    return [*_darks(name), *_flats(name, range(len(FLAT_E)), LEVELS_FIXED_TIME), *_fields(name, range(len(FIELD_POINTS))), *rest]
 
 
 def _darks(session_name):
-    window = (*CENTER, 96, 96)
-    return [
-        Planned(Place(f"{session_name}_dark{i}", "dark", window, t), f"{session_name}_dark", session_name, 8)
-        for i, t in enumerate(TIMES_DARK_S)
-    ]
+    windows = [(f"{session_name}_dark{i}", (*CENTER, 96, 96), t) for i, t in enumerate(TIMES_DARK_S)]
+    windows.append((f"{session_name}_dark_corner", window_at(DARK_CORNER, (96, 96)), TIMES_DARK_S[-1]))
+    return [Planned(Place(name, "dark", window, t), f"{session_name}_dark", session_name, 8) for name, window, t in windows]
 
 
-def _flats(session_name):
+def _flats(session_name, numbers, levels):
     window = (*CENTER, 96, 96)
     out = []
-    for i, electrons in enumerate(FLAT_E):
+    for i in numbers:
+        electrons = FLAT_E[i]
         place = Place(f"{session_name}_flat{i}", "flat", window, round(electrons / WHITE_E_PER_S, 7), "sphere")
         out.append(Planned(place, f"{session_name}_series", session_name, 4))
-    for i, level in enumerate(LEVELS_FIXED_TIME):
+    for i, level in enumerate(levels):
         place = Place(f"{session_name}_level{i}", "flat", window, 0.02, "sphere", level)
         out.append(Planned(place, f"{session_name}_level{i}", session_name, 4))
-    again = Place(f"{session_name}_level2r", "flat", window, 0.02, "sphere", LEVELS_FIXED_TIME[2])
-    out.append(Planned(again, f"{session_name}_level2r", session_name, 4, repeat_of=f"{session_name}_level2"))
+    twin = out[-1]
+    again = Place(f"{twin.place.name}r", *_tail(twin.place))
+    out.append(Planned(again, f"{twin.setup}r", session_name, 4, repeat_of=twin.place.name))
     return out
 
 
-def _fields(session_name):
-    return [
-        Planned(
-            Place(f"{session_name}_field{i:02d}", "flat", window_at(point, (64, 64)), 0.03, "sphere"),
-            f"{session_name}_field",
-            session_name,
-            2,
-        )
-        for i, point in enumerate(FIELD_POINTS)
-    ]
+def _fields(session_name, numbers):
+    out = []
+    for i in numbers:
+        place = Place(f"{session_name}_field{i:02d}", "flat", window_at(FIELD_POINTS[i], (64, 64)), 0.03, "sphere")
+        out.append(Planned(place, f"{session_name}_field", session_name, 2))
+    return out
 
 
 def _edges(session_name):

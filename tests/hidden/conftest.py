@@ -18,9 +18,9 @@ def outcome_of(tmp_path_factory):
 
     known = {}
 
-    def outcome(name):
-        if name not in known:
-            known[name] = run_trial(name, tmp_path_factory.mktemp(name))
-        return known[name]
+    def outcome(name, *, short=False):
+        if (name, short) not in known:
+            known[name, short] = run_trial(name, tmp_path_factory.mktemp(name), short=short)
+        return known[name, short]
 
     return outcome

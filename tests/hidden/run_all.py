@@ -23,6 +23,7 @@ def main(arguments=None):
     parser.add_argument("names", nargs="*", help="trials (default: all)")
     parser.add_argument("--kind", choices=("effect", "null", "outsider"), help="only trials of one kind")
     parser.add_argument("--seed-shift", type=int, default=0, help="other draws than those that count (for development)")
+    parser.add_argument("--short", action="store_true", help="the plan of darks and flats only")
     parser.add_argument("--store", type=Path, help=f"write the results here (the kept ones lie in {STORED.name})")
     options = parser.parse_args(arguments)
     unknown = sorted(set(options.names) - set(TRIALS))
@@ -32,7 +33,7 @@ def main(arguments=None):
     outcomes = []
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
-            outcomes.append(run_trial(name, Path(folder) / name, seed_shift=options.seed_shift))
+            outcomes.append(run_trial(name, Path(folder) / name, seed_shift=options.seed_shift, short=options.short))
         print(line(outcomes[-1]), flush=True)
         if options.store:
             store(options.store, outcomes, options.seed_shift)

@@ -115,7 +115,7 @@ def test_campaign_is_read_as_written(folder, nominal):
     for name in ("A_dark0", "A_flat3", "A_field10", "A_edge_oh_p", "A_chart_side_tube"):
         shot = next(s for s in campaign.shots if s.name == name)
         own = next(p for p in planned if p.place.name == name)
-        codes = foreign.shoot(own, camera, lights, 11, blur_chart=False, draw=False)
+        codes = foreign.shoot(own, camera, lights, 11, draw=False)
         read = campaign.captures[name]
         assert shot.window == own.place.window
         assert all(np.array_equal(c.mosaic, frame) for c, frame in zip(read, codes, strict=True))
@@ -129,7 +129,8 @@ def test_both_cameras_agree_pixel_by_pixel(folder, nominal):
     campaign = isetval.load_campaign(folder)
     lights, camera = foreign.lights_of(nominal), sensor.specimen_of(nominal, 11)
     planned = {p.place.name: p.place for p in plan.session("A")}
-    for name, tolerance in (("A_flat4", 3e-4), ("A_field09", 3e-4), ("A_edge_cv_z", 1e-3), ("A_edge_oh_p", 1e-3)):
+    flats, pictures = ("A_flat4", "A_field09"), ("A_edge_cv_z", "A_edge_oh_p", "A_chart_mid_tube")
+    for name, tolerance in [*((name, 3e-4) for name in flats), *((name, 5e-4) for name in pictures)]:
         shot = next(s for s in campaign.shots if s.name == name)
         theirs = mean_electrons(model, ShotSetup(shot, campaign.lights[shot.light]))
         ours = scene.mean_electrons(camera, planned[name], lights)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 from foreign_camera.truths import EFFECTS, NULLS, OUTSIDERS
 
-DEFAULT_EFFECTS = ("read_noise", "dark_current", "nonlinearity")
+DEFAULT_EFFECTS = ("read_noise", "nonlinearity", "gr_gb_imbalance")
 DEFAULT_NULLS = ("null_1", "null_2")
 DEFAULT_OUTSIDERS = ("column_group_gain",)
 SHARE_THAT_MUST_HOLD = 0.9
@@ -17,7 +17,7 @@ SHARE_THAT_MUST_HOLD = 0.9
 
 @pytest.mark.parametrize("name", [*DEFAULT_EFFECTS, *DEFAULT_NULLS, *DEFAULT_OUTSIDERS])
 def test_trial_of_the_default_run(name, outcome_of):
-    outcome = outcome_of(name)
+    outcome = outcome_of(name, short=True)
     assert outcome.holds, outcome.why
 
 

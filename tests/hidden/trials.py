@@ -17,8 +17,6 @@ NOMINAL = Path(__file__).resolve().parents[2] / "data" / "pixel4a"
 SIGMAS = 3.0
 ORACLE_MARGIN = 0.05
 FLAGGED = ("unexplained", "partial")
-# charts of the catalogue's simulation are not blurred by the lens; see foreign_camera/README
-BLUR_CHART = False
 
 
 @dataclass
@@ -47,11 +45,11 @@ class Outcome:
         return asdict(self)
 
 
-def run_trial(name, folder, *, seed_shift=0, say=None):
-    """Write, diagnose and judge one trial."""
+def run_trial(name, folder, *, seed_shift=0, short=False, say=None):
+    """Write, diagnose and judge one trial (``short``: on the plan of darks and flats only)."""
     trial = TRIALS[name]
     start = time.perf_counter()
-    write_campaign(folder, NOMINAL, seed=trial.seed + seed_shift, hidden=trial.hidden, blur_chart=BLUR_CHART)
+    write_campaign(folder, NOMINAL, seed=trial.seed + seed_shift, hidden=trial.hidden, short=short)
     model = isetval.load_model(NOMINAL / "camera.toml")
     campaign = isetval.load_campaign(folder)
     found = isetval.diagnose(model, campaign, with_next_captures=False, say=say)
