@@ -1,4 +1,4 @@
-"""Block means of colour planes with their noise, in one pass over the frames and a few rows at a time.
+"""Block means of colour planes with their noise, in one pass over a frame and a few rows at a time.
 
 The noise of a block mean is measured in the same pass: half the mean square of same-colour neighbour
 differences (per pixel, gradient removed), pooled over blocks as a smooth function of the signal, plus a
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +70,8 @@ def _edges(count: int, size: int) -> Int:
     return np.linspace(0, count, max(1, round(count / size)) + 1).round().astype(np.intp)
 
 
-def _accumulate(frames: Sequence[Capture], roi: Roi, step: int, size: int) -> _Sums:
-    """One pass over equal windows: every band of block rows is read once and forgotten."""
+def _accumulate(frame: Capture, roi: Roi, step: int, size: int) -> _Sums:
+    """One pass over the frame: every band of block rows is read once and forgotten."""
     row0, row1, col0, col1 = roi
     cells = ((row1 - row0) // step, (col1 - col0) // step)
     row_edges, col_edges = _edges(cells[0], size), _edges(cells[1], size)
@@ -80,7 +80,8 @@ def _accumulate(frames: Sequence[Capture], roi: Roi, step: int, size: int) -> _S
     row_means, col_means = np.zeros((step, cells[0], step)), np.zeros((step, cells[1], step))
     for index, (top, bottom) in enumerate(itertools.pairwise(row_edges)):
         window = (slice(row0 + step * top, row0 + step * bottom), slice(col0, col0 + step * cells[1]))
-        band, peak = _band(frames, window)
+        peak = frame.mosaic[window]
+        band = peak.astype(np.float32)
         pairs = band.reshape(bottom - top, step, -1)
         columns = pairs.sum(axis=0, dtype=np.float64).reshape(step, cells[1], step)
         col_means += columns / cells[0]
@@ -96,33 +97,23 @@ def _accumulate(frames: Sequence[Capture], roi: Roi, step: int, size: int) -> _S
     return _Sums(total, square, highest, row_edges, col_edges, row_means, col_means)
 
 
-def _band(frames: Sequence[Capture], window: tuple[slice, slice]) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Mean of the frames over a few rows, and the highest value of any frame."""
-    peak = frames[0].mosaic[window]
-    band = peak.astype(np.float32)
-    for frame in frames[1:]:
-        part = frame.mosaic[window]
-        band += part
-        peak = np.maximum(peak, part)
-    if len(frames) > 1:
-        band /= np.float32(len(frames))
-    return band, peak
-
-
 def _without_gradient(squares: Float, columns: Float, edges: Int, rows: int) -> Float:
     """Pixel variance of each block: half the mean square difference minus the mean gradient's part."""
     starts, ends = edges[:-1], np.minimum(edges[1:], columns.shape[1] - 1)
     pairs = np.maximum(ends - starts, 1)[None, :, None]
     slope = (columns[:, ends] - columns[:, starts]) / (pairs * rows)
     mean_square = np.add.reduceat(squares, starts, axis=1) / (pairs * rows)
-    return np.asarray(np.maximum(mean_square - slope**2, 0) / 2)
+    # noise in the slope itself takes 1 / (rows pairs^2) of the variance away
+    kept = 1 - 1 / np.maximum(rows * pairs**2, 2)
+    return np.asarray(np.maximum(mean_square - slope**2, 0) / (2 * kept))
 
 
-def _pooled_variance(signal: Float, variance: Float, pixels: Float, floor: float) -> Float:
-    """Smooth pixel variance at every block's signal, from all blocks, outliers left out."""
+def _pooled_variance(signal: Float, variance: Float, pixels: Float, floor: float, *, cut: float = 4.0) -> Float:
+    """Smooth variance at every block's signal, from all blocks, those beyond ``cut`` sigma left out."""
     degree = 2 if signal.size > 200 else 1 if signal.size > 12 else 0
     scale = max(float(np.abs(signal).max()), 1e-9)
-    keep = np.isfinite(variance) & (pixels > 3)
+    enough = np.isfinite(variance) & (pixels >= min(4.0, float(pixels.max())))
+    keep = enough.copy()
     if keep.sum() <= degree:
         return np.full(signal.shape, max(floor, float(np.mean(variance))))
     model = np.full(signal.shape, float(np.median(variance[keep])))
@@ -131,8 +122,8 @@ def _pooled_variance(signal: Float, variance: Float, pixels: Float, floor: float
         powers = np.vander(signal / scale, degree + 1)
         coefficients = np.linalg.lstsq(powers[keep] * weight[:, None], variance[keep] * weight, rcond=1e-9)[0]
         model = np.maximum(powers @ coefficients, floor)
-        spread = 4 * model * np.sqrt(DIFFERENCE_VARIANCE_FACTOR / np.maximum(pixels, 1))
-        fresh = np.isfinite(variance) & (pixels > 3) & (np.abs(variance - model) < spread)
+        spread = cut * model * np.sqrt(DIFFERENCE_VARIANCE_FACTOR / np.maximum(pixels, 1))
+        fresh = enough & (np.abs(variance - model) < spread)
         if fresh.sum() <= max(degree, 0.3 * keep.sum()) or np.array_equal(fresh, keep):
             break
         keep = fresh
@@ -166,17 +157,16 @@ def _slope(medians: Float, *, axis: int) -> Float:
     return np.asarray(rise * (place[:, None] if axis == 0 else place[None, :]))
 
 
-def _remeasure(frames: Sequence[Capture], cut: tuple[slice, slice], *, black: float, variance: float) -> tuple[float, int, bool]:
+def _remeasure(frame: Capture, cut: tuple[slice, slice], *, black: float, variance: float) -> tuple[float, int, bool]:
     """Mean of one suspicious block without its bad pixels: (signal, bad pixels, clipped)."""
-    stack = np.stack([frame.mosaic[cut] for frame in frames]).astype(np.float64)
-    values = stack.mean(axis=0)
+    raw = frame.mosaic[cut]
+    values = raw.astype(np.float64)
     middle = float(np.median(values))
     flat = values - sum(_slope(np.median(values, axis=1 - k), axis=k) for k in (0, 1))
     spread = np.sqrt(variance)
     good = np.abs(flat - middle) <= OUTLIER_SIGMAS * spread
-    white = frames[0].sensor.white_dn
-    in_tail = middle + OUTLIER_SIGMAS * spread * np.sqrt(len(frames)) >= white
-    clipped = bool(in_tail and (stack.max(axis=0) >= white).any())
+    white = frame.sensor.white_dn
+    clipped = bool(middle + OUTLIER_SIGMAS * spread >= white and (raw >= white).any())
     bad = int((~good).sum())
     if bad > 0.05 * good.size:
         return float("nan"), bad, clipped
@@ -184,16 +174,15 @@ def _remeasure(frames: Sequence[Capture], cut: tuple[slice, slice], *, black: fl
 
 
 def measure_blocks(
-    frames: Sequence[Capture], *, roi: Roi | None = None, block_px: int = 24, black_dn: dict[str, float] | None = None
+    frame: Capture, *, roi: Roi | None = None, block_px: int = 24, black_dn: dict[str, float] | None = None
 ) -> dict[str, Blocks]:
-    """Block means of every colour plane of frames that cover one window.
+    """Block means of every colour plane of a frame.
 
     Parameters
     ----------
-    frames : sequence of Capture
-        Frames of equal window and size; they are averaged.
+    frame : Capture
     roi : (row0, row1, col0, col1), optional
-        Part of the frames, half open, in pixels of the capture.
+        Part of the frame, half open, in pixels of the capture.
     block_px : int
         Side of a block in pixels of the colour plane.
     black_dn : dict, optional
@@ -208,47 +197,43 @@ def measure_blocks(
     MeasurementError
         When the region holds no complete 2x2 cell.
     """
-    first = frames[0]
-    box = check_roi(first, roi)
-    step = 1 if first.sensor.cfa == "MONO" else 2
+    box = check_roi(frame, roi)
+    step = 1 if frame.sensor.cfa == "MONO" else 2
     if box[1] - box[0] < step or box[3] - box[2] < step:
         raise MeasurementError(f"region {box} holds no complete {step}x{step} cell; give a larger one")
-    sums = _accumulate(frames, box, step, block_px)
-    corner = (first.window[0] + box[0], first.window[1] + box[2])
+    sums = _accumulate(frame, box, step, block_px)
+    corner = (frame.window[0] + box[0], frame.window[1] + box[2])
     out = {}
-    for plane in planes_of(first):
-        phase = plane_position(first.sensor.cfa, plane, corner)
-        black = plane_black_dn(first, plane) if black_dn is None else black_dn[plane]
-        out[plane] = _plane_blocks(frames, plane, sums, phase=phase, box=box, black=black)
+    for plane in planes_of(frame):
+        phase = plane_position(frame.sensor.cfa, plane, corner)
+        black = plane_black_dn(frame, plane) if black_dn is None else black_dn[plane]
+        out[plane] = _plane_blocks(frame, plane, sums, phase=phase, box=box, black=black)
     return out
 
 
-def _plane_blocks(
-    frames: Sequence[Capture], plane: str, sums: _Sums, *, phase: tuple[int, int], box: Roi, black: float
-) -> Blocks:
+def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, int], box: Roi, black: float) -> Blocks:
     """Signal, noise and place of one plane's blocks from the raw sums."""
     step = sums.total.shape[0]
     heights, widths = np.diff(sums.row_edges), np.diff(sums.col_edges)
     pixels = np.outer(heights, widths).astype(float)
     signal = sums.total[phase[0], :, :, phase[1]] / pixels - black
     variance = sums.square[phase[0], :, :, phase[1]]
-    floor = QUANTIZATION_VARIANCE / len(frames)
-    pooled = _pooled_variance(signal.ravel(), variance.ravel(), pixels.ravel(), floor).reshape(signal.shape)
+    pooled = _pooled_variance(signal.ravel(), variance.ravel(), pixels.ravel(), QUANTIZATION_VARIANCE).reshape(signal.shape)
     limit = pooled * (1 + OUTLIER_SIGMAS * np.sqrt(DIFFERENCE_VARIANCE_FACTOR / np.maximum(pixels, 4)))
-    suspicious = (sums.highest[phase[0], :, :, phase[1]] >= frames[0].sensor.white_dn) | (variance > limit)
+    suspicious = (sums.highest[phase[0], :, :, phase[1]] >= frame.sensor.white_dn) | (variance > limit)
     used, clipped, bad_pixels = np.ones(signal.shape, bool), 0, 0
     for i, j in np.argwhere(suspicious):
         rows = slice(box[0] + phase[0] + step * sums.row_edges[i], box[0] + step * sums.row_edges[i + 1], step)
         cols = slice(box[2] + phase[1] + step * sums.col_edges[j], box[2] + step * sums.col_edges[j + 1], step)
-        signal[i, j], bad, is_clipped = _remeasure(frames, (rows, cols), black=black, variance=float(pooled[i, j]))
+        signal[i, j], bad, is_clipped = _remeasure(frame, (rows, cols), black=black, variance=float(pooled[i, j]))
         used[i, j] = bool(np.isfinite(signal[i, j])) and not is_clipped
         clipped, bad_pixels = clipped + is_clipped, bad_pixels + bad
     mean_variance, robust = float(np.mean(pooled)), bool(suspicious.mean() > 0.01)
     row_part = _line_variance(sums.row_means[phase[0], :, phase[1]], mean_variance, int(widths.sum()), robust=robust)
     col_part = _line_variance(sums.col_means[phase[0], :, phase[1]], mean_variance, int(heights.sum()), robust=robust)
     block_variance = pooled / pixels + row_part / heights[:, None] + col_part / widths[None, :]
-    row_px = frames[0].window[0] + box[0] + phase[0] + step * (sums.row_edges[:-1] + sums.row_edges[1:] - 1) / 2
-    col_px = frames[0].window[1] + box[2] + phase[1] + step * (sums.col_edges[:-1] + sums.col_edges[1:] - 1) / 2
+    row_px = frame.window[0] + box[0] + phase[0] + step * (sums.row_edges[:-1] + sums.row_edges[1:] - 1) / 2
+    col_px = frame.window[1] + box[2] + phase[1] + step * (sums.col_edges[:-1] + sums.col_edges[1:] - 1) / 2
     grid_row, grid_col = np.meshgrid(row_px, col_px, indexing="ij")
     spread_row, spread_col = (step**2 * (n.astype(float) ** 2 - 1) / 12 for n in (heights, widths))
     return Blocks(
@@ -265,6 +250,37 @@ def _plane_blocks(
         row_noise_dn=float(np.sqrt(row_part)),
         column_noise_dn=float(np.sqrt(col_part)),
         grid=(len(heights), len(widths)),
+    )
+
+
+def average_blocks(frames: Sequence[Blocks]) -> Blocks:
+    """Mean of several frames of one window.
+
+    The fixed part of a block's variance stays, the temporal part, seen in the scatter of the block means between frames
+    scaled to one level, falls with their number.
+    """
+    count = len(frames)
+    if count == 1:
+        return frames[0]
+    used = np.all([f.used for f in frames], axis=0)
+    signals = np.stack([np.where(used, f.signal_dn, 1.0) for f in frames])
+    mean = signals.mean(axis=0)
+    level = signals[:, used].sum(axis=1)
+    scatter = (signals * (level.mean() / level)[:, None]).var(axis=0, ddof=1)
+    single = np.mean([f.sigma_dn**2 for f in frames], axis=0)
+    temporal = np.zeros_like(single)
+    dof = np.full(int(used.sum()), 1.5 * (count - 1))
+    temporal[used] = _pooled_variance(mean[used], scatter[used], dof, 1e-12, cut=12.0)
+    temporal = np.minimum(temporal, single)
+    return replace(
+        frames[0],
+        signal_dn=np.where(used, mean, np.nan),
+        sigma_dn=np.sqrt(single - temporal * (1 - 1 / count)),
+        used=used,
+        clipped_blocks=max(f.clipped_blocks for f in frames),
+        bad_pixels=max(f.bad_pixels for f in frames),
+        row_noise_dn=float(np.mean([f.row_noise_dn for f in frames])),
+        column_noise_dn=float(np.mean([f.column_noise_dn for f in frames])),
     )
 
 

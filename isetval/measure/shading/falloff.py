@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Capture, Roi, field_mm, plane_view, planes_of
+from isetval.core.capture import Capture, Roi, field_mm
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.sensor import Sensor
 from isetval.measure.shading.assemble import build_result
-from isetval.measure.shading.blocks import Blocks, join_blocks, measure_blocks
+from isetval.measure.shading.blocks import Blocks
 from isetval.measure.shading.order import chi2_by_order, choose_polynomial, choose_spline, tilt_is_needed
 from isetval.measure.shading.radial import HIGHEST_ORDER, SPLINE_INTERVALS, Radial
 from isetval.measure.shading.results import RelativeIllumination
+from isetval.measure.shading.series import collect_blocks
 from isetval.measure.shading.surface import GEOMETRIES, Points, Surface, block_bias, evaluate, fit_surface
 
 Float = NDArray[np.float64]
-BLOCK_PX = 24
 FIRST_ORDER = 5
 DROP_SIGMAS = 5.0
-LEAST_SIGNAL = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,8 @@ def relative_illumination(
     ----------
     captures : Capture or sequence of Capture
         Flat-field captures of one sensor: full frames (same window: averaged) or windows anywhere on it.
-        Windows share one light level; where exposure times differ the signal is divided by time.
+        Gone through once, one in memory at a time.  Of several levels of one window the brightest unclipped is used;
+        windows share one light level, and where their exposure times differ the signal is divided by time.
     roi : (row0, row1, col0, col1), optional
         Part of each capture, half open, in pixels of the capture.
     dark : Capture or sequence of Capture, optional
@@ -111,11 +112,11 @@ def relative_illumination(
     geometry, basis = geometry or told.get("geometry"), basis or told.get("basis")
     order = order if order is not None else told.get("order")
     _check_options(geometry, basis, order)
-    blocks, first, size, notes = collect_blocks(captures, roi=roi, dark=dark, block_px=block_px or told.get("block_px"))
-    fitted = fit_blocks(blocks, first, geometry=geometry, basis=basis, order=order)
+    blocks, sensor, size, notes = collect_blocks(captures, roi=roi, dark=dark, block_px=block_px or told.get("block_px"))
+    fitted = fit_blocks(blocks, sensor, geometry=geometry, basis=basis, order=order)
     return build_result(
         fitted,
-        first.sensor,
+        sensor,
         radius_mm=None if radius_mm is None else np.asarray(radius_mm, dtype=float),
         black_sigma_dn=black_sigma_dn,
         gain_maps=gain_maps,
@@ -123,22 +124,6 @@ def relative_illumination(
         notes=notes,
         settings={"roi": roi, "dark": dark is not None, "black_sigma_dn": black_sigma_dn},
     )
-
-
-def collect_blocks(
-    captures: Capture | Sequence[Capture],
-    *,
-    roi: Roi | None = None,
-    dark: Capture | Sequence[Capture] | None = None,
-    block_px: int | None = None,
-) -> tuple[dict[str, Blocks], Capture, int, tuple[str, ...]]:
-    """Checked block means of all captures: (blocks by plane, first capture, block size, notes)."""
-    frames = _checked(captures)
-    size = int(block_px or _block_size(frames))
-    black = None if dark is None else _dark_means(_checked(dark))
-    blocks, notes = _all_blocks(frames, roi=roi, size=size, black=black)
-    _check_signal(blocks)
-    return blocks, frames[0], size, notes
 
 
 def _check_options(geometry: str | None, basis: str | None, order: int | None) -> None:
@@ -150,78 +135,9 @@ def _check_options(geometry: str | None, basis: str | None, order: int | None) -
         raise InputError(f"order is {order}; it needs 0 to 60")
 
 
-def _checked(captures: Capture | Sequence[Capture]) -> list[Capture]:
-    frames = [captures] if isinstance(captures, Capture) else list(captures)
-    if not frames:
-        raise InputError("no captures were given; relative illumination needs at least one flat")
-    first = frames[0].sensor
-    for frame in frames[1:]:
-        other = frame.sensor
-        if (other.rows, other.cols, other.cfa, other.pixel_um) != (first.rows, first.cols, first.cfa, first.pixel_um):
-            raise InputError(
-                f"captures of different sensors: {first.rows}x{first.cols} {first.cfa} and "
-                f"{other.rows}x{other.cols} {other.cfa}; "
-                "give captures of one sensor (for crops set sensor_shape and window)"
-            )
-    return frames
-
-
-def _block_size(frames: Sequence[Capture]) -> int:
-    """About 48 blocks along the short side of one window, two along that of many."""
-    step = 1 if frames[0].sensor.cfa == "MONO" else 2
-    shortest = min(min(frame.mosaic.shape) for frame in frames) // step
-    one_window = len({(frame.window, frame.mosaic.shape) for frame in frames}) == 1
-    return int(np.clip(shortest // 48, 4, BLOCK_PX) if one_window else np.clip(-(-shortest // 2), 2, BLOCK_PX))
-
-
-def _dark_means(frames: Sequence[Capture]) -> dict[str, float]:
-    return {p: float(np.mean([plane_view(f, p)[0].mean(dtype=np.float64) for f in frames])) for p in planes_of(frames[0])}
-
-
-def _groups(frames: Sequence[Capture]) -> list[list[Capture]]:
-    """Captures of one window and one exposure time together, in order of first appearance."""
-    groups: dict[tuple[Any, ...], list[Capture]] = {}
-    for frame in frames:
-        groups.setdefault((frame.window, frame.mosaic.shape, frame.exposure.time_s), []).append(frame)
-    return list(groups.values())
-
-
-def _all_blocks(
-    frames: Sequence[Capture], *, roi: Roi | None, size: int, black: dict[str, float] | None
-) -> tuple[dict[str, Blocks], tuple[str, ...]]:
-    """Blocks of every plane over all windows, at the first capture's exposure time."""
-    groups = _groups(frames)
-    times = [group[0].exposure.time_s for group in groups]
-    factors, notes = [1.0] * len(groups), []
-    if len(set(times)) > 1:
-        if any(t is None for t in times):
-            raise InputError("some captures have an exposure time and others none; give captures of one exposure or all times")
-        factors = [float(times[0] or 1) / float(t or 1) for t in times]
-        shortest, longest = min(t or 0 for t in times), max(t or 0 for t in times)
-        notes.append(f"exposure times differ ({shortest:g}..{longest:g} s): signals divided by time")
-    parts = [measure_blocks(group, roi=roi, block_px=size, black_dn=black) for group in groups]
-    return {p: join_blocks([part[p] for part in parts], factors) for p in parts[0]}, tuple(notes)
-
-
-def _check_signal(blocks: Mapping[str, Blocks]) -> None:
-    for plane, part in blocks.items():
-        if part.used.sum() < 0.5 * part.used.size:
-            raise MeasurementError(
-                f"plane {plane}: {int((~part.used).sum())} of {part.used.size} blocks are clipped or hold too many bad pixels "
-                f"({part.clipped_blocks} clipped); at most half may be: expose less"
-            )
-        signal, noise = float(np.median(part.signal_dn[part.used])), float(np.median(part.sigma_dn[part.used]))
-        overall = noise / np.sqrt(part.used.sum())
-        if signal < LEAST_SIGNAL * overall:
-            raise MeasurementError(
-                f"plane {plane}: the median signal above black is {signal:.2f} DN, known to {overall:.3f} DN from all blocks; "
-                f"a fall-off needs at least {LEAST_SIGNAL} times that: expose longer, average frames or check the black level"
-            )
-
-
-def _points(part: Blocks, capture: Capture, scale: float) -> Points:
-    x_mm, y_mm = field_mm(capture.sensor, part.row_px, part.col_px)
-    pitch = capture.sensor.pixel_um * 1e-3
+def _points(part: Blocks, sensor: Sensor, scale: float) -> Points:
+    x_mm, y_mm = field_mm(sensor, part.row_px, part.col_px)
+    pitch = sensor.pixel_um * 1e-3
     return Points(
         x_mm, y_mm, part.spread_col_px2 * pitch**2, part.spread_row_px2 * pitch**2, part.signal_dn / scale, part.sigma_dn / scale
     )
@@ -243,13 +159,13 @@ def _first_geometry(points: Sequence[Points]) -> str:
 
 
 def fit_blocks(
-    blocks: Mapping[str, Blocks], capture: Capture, *, geometry: str | None, basis: str | None, order: int | None
+    blocks: Mapping[str, Blocks], sensor: Sensor, *, geometry: str | None, basis: str | None, order: int | None
 ) -> Fitted:
     """Fit at the highest order, drop outlying blocks, choose geometry and order, fit again."""
     scale = {p: float(np.median(b.signal_dn[b.used])) for p, b in blocks.items()}
-    points = {p: _points(b, capture, scale[p]) for p, b in blocks.items()}
+    points = {p: _points(b, sensor, scale[p]) for p, b in blocks.items()}
     keep = {p: b.used.copy() for p, b in blocks.items()}
-    radius = 1.04 * max(float(np.hypot(p.x_mm, p.y_mm).max()) for p in points.values()) + 0.002 * capture.sensor.pixel_um
+    radius = 1.04 * max(float(np.hypot(p.x_mm, p.y_mm).max()) for p in points.values()) + 0.002 * sensor.pixel_um
     kept = [points[p].keep(keep[p]) for p in points]
     richest = Radial("polynomial", _highest_order(kept, radius), radius)
     first = Radial("polynomial", min(FIRST_ORDER, richest.order), radius)
@@ -265,7 +181,7 @@ def fit_blocks(
     surface, name = _without_needless_tilt(kept, surface, name, fixed=geometry is not None)
     by_order = chi2_by_order(kept, surface, richest)
     shape = choose_polynomial(kept, by_order, surface, richest)
-    reach = _reach_mm(points.values(), surface, capture.sensor.pixel_um)
+    reach = _reach_mm(points.values(), surface, sensor.pixel_um)
     radial = shape
     if order is not None:
         radial = Radial(basis or "polynomial", order, reach if basis == "spline" else radius)

@@ -13,8 +13,9 @@ from isetval.core.capture import Capture, Roi
 from isetval.core.errors import InputError
 from isetval.measure.shading.assemble import build_result
 from isetval.measure.shading.blocks import Blocks
-from isetval.measure.shading.falloff import Fitted, collect_blocks, fit_blocks
+from isetval.measure.shading.falloff import Fitted, fit_blocks
 from isetval.measure.shading.results import RelativeIllumination
+from isetval.measure.shading.series import collect_blocks
 
 Float = NDArray[np.float64]
 EVEN_PART = (
@@ -79,16 +80,16 @@ def separate_rotated(
     C (L(x) + L(-x)) = F0 + F180 and (L(x) - L(-x)) / (L(x) + L(-x)) = (F0 - F180) / (F0 + F180) at equal levels.
     """
     size = (choices or {}).get("block_px")
-    first, frame, used_size, notes = collect_blocks(flat_0, roi=roi, dark=dark, block_px=size)
+    first, sensor, used_size, notes = collect_blocks(flat_0, roi=roi, dark=dark, block_px=size)
     second, *_ = collect_blocks(flat_180, roi=roi, dark=dark, block_px=used_size)
     _check_same_places(first, second)
     ratio = {p: _level_ratio(first[p], second[p]) for p in first}
     mean = {p: _mean(first[p], second[p], ratio[p]) for p in first}
     told = choices or {}
-    fitted = fit_blocks(mean, frame, geometry=told.get("geometry"), basis=told.get("basis"), order=told.get("order"))
+    fitted = fit_blocks(mean, sensor, geometry=told.get("geometry"), basis=told.get("basis"), order=told.get("order"))
     camera = build_result(
         fitted,
-        frame.sensor,
+        sensor,
         choices={
             "basis": fitted.radial.kind,
             "order": fitted.radial.order,

@@ -15,7 +15,7 @@ def test_block_means_equal_direct_means(cfa, shape, window):
     rng = np.random.default_rng(5)
     dn = rng.integers(300, 400, shape).astype(np.uint16)
     capture = Capture.from_array(dn, cfa=cfa, window=window, sensor_shape=(100, 120))
-    for plane, blocks in measure_blocks([capture], block_px=10).items():
+    for plane, blocks in measure_blocks(capture, block_px=10).items():
         name = {"R": "R", "Gr": "G", "Gb": "G", "B": "B"}[plane]
         total, count = 0.0, 0
         for k in range(4):
@@ -43,7 +43,7 @@ def _is(cfa, k, plane):
 def test_block_sigma_is_the_scatter_of_block_means():
     rng = np.random.default_rng(6)
     dn = np.rint(500 + 8 * rng.standard_normal((600, 800))).astype(np.uint16)
-    blocks = measure_blocks([Capture.from_array(dn)], block_px=10)["R"]
+    blocks = measure_blocks(Capture.from_array(dn), block_px=10)["R"]
     scatter, number = blocks.signal_dn.std(ddof=1), blocks.signal_dn.size
     assert blocks.sigma_dn.mean() == pytest.approx(scatter, rel=4 / np.sqrt(2 * number))
     # white noise of 8 DN and rounding 1/12 over 100 pixels

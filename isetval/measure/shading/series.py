@@ -1,0 +1,156 @@
+"""From captures to block means: one pass, one frame in memory, the usable level of every window."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from isetval.core.capture import Capture, Roi, plane_view, planes_of
+from isetval.core.errors import InputError, MeasurementError
+from isetval.core.sensor import Sensor
+from isetval.measure.shading.blocks import Blocks, average_blocks, join_blocks, measure_blocks
+
+BLOCK_PX = 24
+LEAST_SIGNAL = 100
+SAME_LEVEL = 0.05
+FEW_CLIPPED = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Blocks of one capture, and what decides whether it is used."""
+
+    window: tuple[int, int]
+    shape: tuple[int, int]
+    time_s: float | None
+    blocks: Mapping[str, Blocks]
+    level_dn: float
+    clipped_share: float
+
+
+def collect_blocks(
+    captures: Capture | Iterable[Capture],
+    *,
+    roi: Roi | None = None,
+    dark: Capture | Iterable[Capture] | None = None,
+    block_px: int | None = None,
+) -> tuple[dict[str, Blocks], Sensor, int, tuple[str, ...]]:
+    """Block means of all windows: (blocks by plane, sensor, block size, notes).
+
+    Parameters
+    ----------
+    captures : Capture or iterable of Capture
+        Gone through once; no capture is kept.
+    roi, dark, block_px
+        As in ``relative_illumination``.
+
+    Raises
+    ------
+    InputError
+        Without captures, for several sensors, or for mixed known and unknown exposure times.
+    MeasurementError
+        For captures too dark or clipped.
+    """
+    black = None if dark is None else _dark_means(dark)
+    frames: list[_Frame] = []
+    sensor, size = None, block_px
+    for capture in _each(captures):
+        sensor = _same_sensor(sensor, capture.sensor)
+        size = size or _block_size(capture)
+        frames.append(_measure(capture, roi, int(size), black))
+    if sensor is None or size is None:
+        raise InputError("no captures were given; relative illumination needs at least one flat")
+    groups, notes = _usable(frames)
+    factors, more = _time_factors(groups)
+    merged = [{p: average_blocks([f.blocks[p] for f in group]) for p in group[0].blocks} for group in groups]
+    blocks = {p: join_blocks([part[p] for part in merged], factors) for p in merged[0]}
+    _check_signal(blocks)
+    return blocks, sensor, int(size), (*notes, *more)
+
+
+def _each(captures: Capture | Iterable[Capture]) -> Iterable[Capture]:
+    return (captures,) if isinstance(captures, Capture) else captures
+
+
+def _same_sensor(first: Sensor | None, other: Sensor) -> Sensor:
+    """The first sensor, if the other is the same; a larger one where only the window was known so far is not."""
+    if first is None:
+        return other
+    if (other.rows, other.cols, other.cfa, other.pixel_um) != (first.rows, first.cols, first.cfa, first.pixel_um):
+        raise InputError(
+            f"captures of different sensors: {first.rows}x{first.cols} {first.cfa} and "
+            f"{other.rows}x{other.cols} {other.cfa}; give captures of one sensor (for crops set sensor_shape and window)"
+        )
+    return first
+
+
+def _block_size(capture: Capture) -> int:
+    """About 48 blocks along the short side of a whole frame, two along that of a window."""
+    step = 1 if capture.sensor.cfa == "MONO" else 2
+    shortest = min(capture.mosaic.shape) // step
+    whole = capture.mosaic.size >= 0.4 * capture.sensor.rows * capture.sensor.cols
+    return int(np.clip(shortest // 48, 4, BLOCK_PX) if whole else np.clip(-(-shortest // 2), 2, BLOCK_PX))
+
+
+def _dark_means(dark: Capture | Iterable[Capture]) -> dict[str, float]:
+    """Mean of every plane over the dark frames."""
+    means = [{p: float(plane_view(f, p)[0].mean(dtype=np.float64)) for p in planes_of(f)} for f in _each(dark)]
+    if not means:
+        raise InputError("dark was given without captures; leave it out or give dark frames")
+    return {p: float(np.mean([m[p] for m in means])) for p in means[0]}
+
+
+def _measure(capture: Capture, roi: Roi | None, size: int, black: dict[str, float] | None) -> _Frame:
+    blocks = measure_blocks(capture, roi=roi, block_px=size, black_dn=black)
+    level = max(float(np.nanmedian(b.signal_dn)) if np.isfinite(b.signal_dn).any() else 0.0 for b in blocks.values())
+    share = max(1 - float(b.used.mean()) for b in blocks.values())
+    rows, cols = capture.mosaic.shape
+    return _Frame(capture.window, (rows, cols), capture.exposure.time_s, blocks, level, share)
+
+
+def _usable(frames: Sequence[_Frame]) -> tuple[list[list[_Frame]], tuple[str, ...]]:
+    """Frames of each window at its brightest unclipped level, in order of first appearance."""
+    windows: dict[tuple[int, ...], list[_Frame]] = {}
+    for frame in frames:
+        windows.setdefault((*frame.window, *frame.shape), []).append(frame)
+    out = [_one_level(group) for group in windows.values()]
+    kept = sum(len(group) for group in out)
+    if kept == len(frames):
+        return out, ()
+    return out, (f"{kept} of {len(frames)} captures used: the brightest unclipped level of each window",)
+
+
+def _one_level(group: Sequence[_Frame]) -> list[_Frame]:
+    good = [f for f in group if f.clipped_share <= FEW_CLIPPED] or [min(group, key=lambda f: f.clipped_share)]
+    best = max(good, key=lambda f: f.level_dn)
+    return [f for f in good if f.time_s == best.time_s and f.level_dn >= (1 - SAME_LEVEL) * best.level_dn]
+
+
+def _time_factors(groups: Sequence[Sequence[_Frame]]) -> tuple[list[float], tuple[str, ...]]:
+    """Factor that brings each window to the first one's exposure time."""
+    times = [group[0].time_s for group in groups]
+    if len(set(times)) == 1:
+        return [1.0] * len(groups), ()
+    known = [t for t in times if t is not None]
+    if len(known) < len(times):
+        raise InputError("some captures have an exposure time and others none; give captures of one exposure or all times")
+    note = f"exposure times of the windows differ ({min(known):g}..{max(known):g} s): signals divided by time"
+    return [known[0] / t for t in known], (note,)
+
+
+def _check_signal(blocks: Mapping[str, Blocks]) -> None:
+    for plane, part in blocks.items():
+        if part.used.sum() < 0.5 * part.used.size:
+            raise MeasurementError(
+                f"plane {plane}: {int((~part.used).sum())} of {part.used.size} blocks are clipped or hold too many bad pixels "
+                f"({part.clipped_blocks} clipped); at most half may be: expose less"
+            )
+        signal, noise = float(np.median(part.signal_dn[part.used])), float(np.median(part.sigma_dn[part.used]))
+        overall = noise / np.sqrt(part.used.sum())
+        if signal < LEAST_SIGNAL * overall:
+            raise MeasurementError(
+                f"plane {plane}: the median signal above black is {signal:.2f} DN, known to {overall:.3f} DN from all blocks; "
+                f"a fall-off needs at least {LEAST_SIGNAL} times that: expose longer, average frames or check the black level"
+            )
