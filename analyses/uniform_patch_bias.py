@@ -140,10 +140,10 @@ def published_envelope() -> list[dict[str, float]] | None:
 # %%
 def main() -> None:
     flat_rows, mixed_rows = flats(), mixed()
-    print("flat fields: share accepted, bias of the accepted sd (target: two frames within .5 %)")
+    print("flat: share accepted, bias of the accepted sd (target: two frames within .5 %)")
     for r in flat_rows:
         print(f"{r['electrons']:6.0f} e-  lyu2022 {r['lyu2022_pass']:.2f} (outlier step {r['lyu2022_outlier_pass']:.2f}) "
-              f"{r['lyu2022_bias_percent']:+.2f} +- {r['lyu2022_bias_error_percent']:.2f} %  two frames {r['two_frame_pass']:.2f} "
+              f"{r['lyu2022_bias_percent']:+.2f} +- {r['lyu2022_bias_error_percent']:.2f} % two frames {r['two_frame_pass']:.1f} "
               f"{r['two_frame_bias_percent']:+.2f} +- {r['two_frame_bias_error_percent']:.2f} %")  # fmt: skip
     print("mixed scenes: gain from patches (target: two frames within 1 %)")
     for r in mixed_rows:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
-from isetval.core.errors import MeasurementError
+from isetval.core.errors import InputError, MeasurementError
 from isetval.measure.noise.statistics import check_frames
 
 Float = NDArray[np.float64]
@@ -63,6 +63,7 @@ def group(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Ca
     """
     everything = [*captures, *(dark or ())]
     check_frames(everything)
+    _one_gain(everything)
     means = {id(c): frame_mean(c, roi) for c in everything}
     notes: list[str] = []
     chosen = list(dark) if dark is not None else _find_dark(captures, means, roi)
@@ -71,6 +72,9 @@ def group(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Ca
         captures, chosen = [c for c in captures if c not in chosen], []
     taken = {id(c) for c in chosen}
     rest = [c for c in captures if id(c) not in taken]
+    rest, others = _leave_out_other_darks(rest, chosen, means)
+    if others:
+        notes.append("darks_of_other_times_left_out")
     if not chosen:
         notes.append("no_dark")
     flats: list[list[Capture]] = []
@@ -88,6 +92,30 @@ def group(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Ca
             "two frames of the same light and exposure: shoot pairs"
         )
     return Groups(tuple(chosen), tuple(tuple(frames) for frames in kept), tuple(notes))
+
+
+def _one_gain(captures: Sequence[Capture]) -> None:
+    """Refuse frames of different ISO settings: each has a gain of its own."""
+    found = sorted({c.exposure.iso for c in captures if c.exposure.iso is not None})
+    if len(found) > 1:
+        raise InputError(
+            f"the captures were taken at ISO {', '.join(f'{iso:g}' for iso in found)}; photon transfer needs one ISO setting "
+            "(one gain): measure each setting by itself"
+        )
+
+
+def _leave_out_other_darks(
+    rest: Sequence[Capture], chosen: Sequence[Capture], means: dict[int, float]
+) -> tuple[list[Capture], list[Capture]]:
+    """Split off darks taken at the exposure times of the flats (mean near the dark level, far below the light's)."""
+    if not chosen:
+        return list(rest), []
+    level = float(np.mean([means[id(c)] for c in chosen]))
+    brightest: dict[float | None, float] = {}
+    for c in rest:
+        brightest[c.exposure.time_s] = max(brightest.get(c.exposure.time_s, -math.inf), means[id(c)])
+    dark = [c for c in rest if means[id(c)] - level < min(2.0, 0.1 * (brightest[c.exposure.time_s] - level))]
+    return [c for c in rest if c not in dark], dark
 
 
 def _find_dark(captures: Sequence[Capture], means: dict[int, float], roi: Roi | None) -> list[Capture]:

@@ -55,9 +55,9 @@ def published_rule(
 ) -> list[Patch]:
     """Apply the published rule for uniform regions to one frame.
 
-    A patch is rejected when its raw mean is at most 2 DN or above .997 of white; when any value differs from the median by more than three Poisson sd, sqrt(median K); or when,
-    over 20 % of the values drawn with replacement and held out, the error of a constant exceeds 1.02 times the
-    error of a second-degree surface fitted to the others.
+    A patch is rejected when its raw mean is at most 2 DN or above .997 of white; when any value differs from the median
+    by more than three Poisson sd, sqrt(median K); or when, over 20 % of the values drawn with replacement and held out,
+    the error of a constant exceeds 1.02 times the error of a second-degree surface fitted to the others.
 
     Notes
     -----

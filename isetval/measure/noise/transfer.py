@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 NAN = float("nan")
 NOTHING = Quantity(NAN, NAN)
 METHODS = ("default", "lyu2022")
+JUMP = 0.08
+CORRELATED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +222,8 @@ def _default(
     bend = _bend(fit, response)
     if not straight and abs(bend.value) > 3 * bend.sigma:
         flags += ("bend_of_unknown_cause",)
+    neighbors = covariance_per_e(series, plane, roi)
+    flags += _doubts(used, neighbors)
     return PlaneTransfer(
         plane=plane,
         gain_dn_per_e=gain,
@@ -231,7 +235,7 @@ def _default(
         quadratic=bend,
         nonlinearity=nonlinearity_at(response, used),
         brighter_fatter_per_e=Quantity(-bend.value, bend.sigma, "1/e-") if straight else Quantity(NAN, NAN, "1/e-"),
-        neighbor_covariance_per_e=covariance_per_e(series, plane, roi),
+        neighbor_covariance_per_e=neighbors,
         saturation_cut_dn=series.cut_dn,
         cut_spread=_cut_spread(points, anchor, response, fit),
         chi2=fit.chi2,
@@ -241,6 +245,20 @@ def _default(
         fit=fit,
         choices={"cut_dn": series.cut_dn, "weights": dict(fit.weights)},
     )
+
+
+def _doubts(used: Sequence[Level], neighbors: Quantity) -> tuple[str, ...]:
+    """Flags for a gain hidden between exposures, and for noise that neighbors share (smoothed or resampled data)."""
+    flags: tuple[str, ...] = ()
+    if _timed(used):
+        rate = np.array([level.mean_dn / level.time_s for level in used if level.time_s and level.mean_dn > 5])
+        if rate.size > 2 and float(np.max(np.abs(np.diff(np.log(rate))))) > JUMP:
+            flags += ("means_not_linear_in_time",)
+    top = used[-1]
+    share = neighbors.value * top.mean_dn**2 / top.variance_dn2
+    if share > CORRELATED and neighbors.value > 5 * neighbors.sigma:
+        flags += ("neighbors_correlated",)
+    return flags
 
 
 def _bend(fit: CurveFit, response: Response | None) -> Quantity:

@@ -173,6 +173,37 @@ def test_bends_are_told_apart():
     assert np.isnan(untimed.brighter_fatter_per_e.value)
 
 
+def test_hidden_digital_gain_and_smoothed_raw_are_flagged():
+    rng = np.random.default_rng(35)
+    camera = NoiseCamera(rng)
+    captures = camera.shoot(0.0, 2, time_s=1e-5)
+    for step in range(1, 9):
+        captures += camera.shoot(400.0 * step * (1.3 if step > 4 else 1.0), 2, time_s=0.01 * step)
+    assert "means_not_linear_in_time" in photon_transfer(captures)["MONO"].flags
+    smooth = []
+    for capture in series(camera, LEVELS):
+        codes = capture.mosaic.astype(float)
+        blurred = 0.8 * codes + 0.1 * (np.roll(codes, 1, axis=1) + np.roll(codes, -1, axis=1))
+        smooth.append(Capture.from_array(np.round(blurred).astype(np.uint16), cfa="MONO", time_s=capture.exposure.time_s))
+    assert "neighbors_correlated" in photon_transfer(smooth)["MONO"].flags
+    assert "neighbors_correlated" not in photon_transfer(series(camera, LEVELS))["MONO"].flags
+
+
+def test_darks_of_every_exposure_time_and_mixed_iso():
+    rng = np.random.default_rng(36)
+    camera = NoiseCamera(rng, dark_e_per_s=5.0)
+    captures = []
+    for electrons in [5.0, *LEVELS[6:]]:
+        captures += camera.shoot(0.0, 2, time_s=electrons * 2e-5) + camera.shoot(electrons, 2, time_s=electrons * 2e-5)
+    found = photon_transfer(captures)["MONO"]
+    assert "darks_of_other_times_left_out" in found.flags
+    assert abs(found.gain_dn_per_e.value - GAIN) < 4 * found.gain_dn_per_e.sigma
+    assert abs(found.read_noise_e.value - READ_E) < 4 * found.read_noise_e.sigma
+    mixed = [Capture.from_array(c.mosaic, cfa="MONO", iso=100 + 100 * (i % 2)) for i, c in enumerate(captures)]
+    with pytest.raises(InputError, match="ISO 100, 200"):
+        photon_transfer(mixed)
+
+
 def test_choices_are_reused():
     rng = np.random.default_rng(29)
     first = photon_transfer(series(NoiseCamera(rng), np.geomspace(50, 9000, 10)))
