@@ -8,6 +8,7 @@ _NAMES = {
     "RayTransferLens": "isetval.lens.ray_transfer",
     "audit": "isetval.lens.auditing",
     "audit_file": "isetval.lens.auditing",
+    "combine": "isetval.lens.fit",
     "default_lens": "isetval.lens.stored",
     "from_rays": "isetval.lens.fit",
     "load_lens": "isetval.lens.transfer_file",

@@ -16,6 +16,8 @@ from isetval.lens.pass_region import region_from_json
 from isetval.lens.polynomials import OUTPUTS, OutputPolynomial, RayPolynomials
 from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
 
+OLD_CIRCLES = {"circleRadii": "radii", "circleSensitivities": "sensitivities", "circlePlaneZ": "intersectPlaneDistance"}
+
 
 def to_json(lens: RayTransferLens) -> dict[str, Any]:
     """The lens as the object that an ISET ray-transfer file holds."""
@@ -43,14 +45,18 @@ def _output_json(name: str, p: OutputPolynomial) -> dict[str, Any]:
     return {"outputname": name, "coeff": p.coefficients.tolist(), "termr": termr, "termdx": termdx, "termdy": termdy}
 
 
-def load_lens(path: str | Path) -> RayTransferLens:
-    """Read an ISET ray-transfer JSON.
+def load_lens(path: str | Path, *more: str | Path) -> RayTransferLens:
+    """Read an ISET ray-transfer JSON, or several of one lens at different wavelengths as one lens.
 
     Raises
     ------
     InputError
         The file is missing, is no JSON, or lacks an entry; the message names it.
     """
+    if more:
+        from isetval.lens.fit import combine
+
+        return combine([load_lens(file) for file in (path, *more)])
     file = Path(path)
     try:
         source = json.loads(file.read_text(encoding="utf-8"))
@@ -69,8 +75,9 @@ def from_json(source: Any) -> RayTransferLens:
     if not isinstance(source, dict) or not source.get("polynomials"):
         raise InputError("no 'polynomials' list; is this a ray-transfer file?")
     entries = source["polynomials"]
-    known = ("description", "name", "thickness", "planeoffsetoutput", "planeoffsetinput", "polynomials")
-    tables = [_table_from_json(entry) for entry in (entries if isinstance(entries, list) else [entries])]
+    known = ("description", "name", "thickness", "planeoffsetoutput", "planeoffsetinput", "polynomials", *OLD_CIRCLES)
+    old = {new: source[key] for key, new in OLD_CIRCLES.items() if key in source}
+    tables = [_table_from_json(entry, old) for entry in (entries if isinstance(entries, list) else [entries])]
     return RayTransferLens(
         name=str(source.get("name", "")),
         description=str(source.get("description", "")),
@@ -90,8 +97,10 @@ def _number(source: Mapping[str, Any], key: str) -> float:
     return float(value)
 
 
-def _table_from_json(entry: Any) -> WavelengthTable:
-    """One wavelength entry."""
+def _table_from_json(entry: Any, old: Mapping[str, Any]) -> WavelengthTable:
+    """One wavelength entry; ``old`` holds the circles of files that state them once for all wavelengths."""
+    if isinstance(entry, dict) and "passnopass" not in entry and ("raypass" in entry or len(old) == 3):
+        entry = {**entry, "passnopass": entry.get("raypass", {"method": "circles", **old})}
     if not isinstance(entry, dict) or not isinstance(entry.get("passnopass"), dict) or not isinstance(entry.get("poly"), list):
         raise InputError("a 'polynomials' entry needs 'wavelength_nm', 'passnopass' and 'poly'")
     outputs = {}

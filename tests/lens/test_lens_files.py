@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,22 @@ def test_a_ray_must_be_inside_every_circle() -> None:
     inside = (np.hypot(x, y - 0.1 * r) <= 0.5) & (np.hypot(x, y + 0.2 * r) <= 0.8)
     assert np.array_equal(region.gauge(r, x, y) <= 1, inside)
     assert 0.1 < inside.mean() < 0.9
+
+
+def test_older_files_with_circles_beside_the_polynomials_are_read() -> None:
+    source = json.loads(json.dumps(to_json(thin_lens(4.4, 2.0))))
+    region = source["polynomials"][0].pop("passnopass")
+    source |= {"circleRadii": region["radii"], "circleSensitivities": [0.1], "circlePlaneZ": 17.0}
+    found = from_json(source).table().region
+    assert found.plane_distance_mm == 17.0
+    assert found.center(np.array([2.0]))[1, 0] == pytest.approx(0.2)
+
+
+def test_one_file_per_wavelength_makes_one_lens(pixel4a, tmp_path: Path) -> None:
+    blue = replace(pixel4a, tables=(replace(pixel4a.tables[0], wavelength_nm=450.0),))
+    for name, lens in (("green", pixel4a), ("blue", blue)):
+        lens.save(tmp_path / f"{name}.json")
+    assert load_lens(tmp_path / "green.json", tmp_path / "blue.json").wavelengths_nm == (450.0, 550.0)
 
 
 @pytest.mark.parametrize(
