@@ -12,7 +12,7 @@ from isetval.measure.noise.curve import Response
 from isetval.measure.noise.levels import Level, LevelSeries
 from isetval.measure.noise.moments import frame_moments
 from isetval.measure.noise.quantity import Quantity
-from isetval.measure.noise.statistics import neighbour_covariance
+from isetval.measure.noise.statistics import PlaneStatistics, neighbour_covariance
 
 LARGEST = 512
 
@@ -31,11 +31,15 @@ def nonlinearity_at(response: Response | None, used: Sequence[Level]) -> Quantit
     return Quantity(value, float(math.sqrt(max(powers @ response.covariance @ powers, 0.0))))
 
 
-def covariance_per_e(series: LevelSeries, plane: str, roi: Roi | None) -> Quantity:
+Found = dict[int, PlaneStatistics]
+
+
+def covariance_per_e(series: LevelSeries, plane: str, roi: Roi | None, known: Found) -> Quantity:
     """Sum of the covariances with the four nearest neighbours over the squared mean, 1/e-.
 
     Charge repulsion takes A mu^2 from the variance of a pixel and gives it to the covariances with its neighbours; the
-    four nearest hold part of it, so this is a lower bound of A, measured apart from the variance.
+    four nearest hold part of it, so this is a lower bound of A, measured apart from the variance.  ``known`` keeps the
+    mosaic's covariances by level from one plane to the next.
     """
     used = [level for level in series.levels if level.used]
     top = used[-1].mean_dn
@@ -43,14 +47,22 @@ def covariance_per_e(series: LevelSeries, plane: str, roi: Roi | None) -> Quanti
     bright = bright[-4:] if bright[0].pixels < LARGEST**2 // 4 else bright[-2:]
     value = weight_sum = 0.0
     for level in bright:
-        found = _four_neighbours(level.captures, plane, roi)
+        found = _four_neighbours(level.captures, plane, roi, known)
         weight = (level.mean_dn**2 / found.sigma) ** 2
         value += weight * found.value / level.mean_dn**2
         weight_sum += weight
     return Quantity(value / weight_sum, 1 / math.sqrt(weight_sum), "1/e-")
 
 
-def _four_neighbours(captures: Sequence[Capture], plane: str, roi: Roi | None) -> Quantity:
+def _four_neighbours(captures: Sequence[Capture], plane: str, roi: Roi | None, known: Found) -> Quantity:
+    if id(captures[0]) not in known:
+        known[id(captures[0])] = _mosaic_covariance(captures, roi)
+    found = known[id(captures[0])].quantities
+    mine = [q for n, q in found.items() if plane == "MONO" or plane.lower() in n.split("_")[2:]]
+    return Quantity(2 * sum(q.value for q in mine), 2 * math.sqrt(sum(q.sigma**2 for q in mine)), "DN^2")
+
+
+def _mosaic_covariance(captures: Sequence[Capture], roi: Roi | None) -> PlaneStatistics:
     row0, row1, col0, col1 = check_roi(captures[0], roi)
     region = (row0, min(row1, row0 + LARGEST), col0, min(col1, col0 + LARGEST))
     planes = {}
@@ -58,6 +70,4 @@ def _four_neighbours(captures: Sequence[Capture], plane: str, roi: Roi | None) -
         views = [plane_view(c, name, region)[0] for c in captures]
         _, first, _ = plane_view(captures[0], name, region)
         planes[name] = (frame_moments(views, plane_black_dn(captures[0], name), keep=True), first)
-    found = neighbour_covariance(planes, region).quantities
-    mine = [q for n, q in found.items() if plane == "MONO" or plane.lower() in n.split("_")[2:]]
-    return Quantity(2 * sum(q.value for q in mine), 2 * math.sqrt(sum(q.sigma**2 for q in mine)), "DN^2")
+    return neighbour_covariance(planes, region)

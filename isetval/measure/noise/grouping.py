@@ -35,9 +35,9 @@ def frame_mean(capture: Capture, roi: Roi | None = None) -> float:
 
 def _held_mean(view: NDArray[np.uint16]) -> float:
     step = max(1, int(math.sqrt(view.size / SAMPLE)))
-    values = view[::step, ::step].astype(np.float64)
-    center = float(np.median(values))
-    spread = max(1.4826 * float(np.median(np.abs(values - center))), 0.5)
+    values = np.sort(view[::step, ::step].ravel()).astype(np.float64)
+    low, center, high = values[[values.size // 4, values.size // 2, 3 * values.size // 4]]
+    spread = max((high - low) / 1.349, 0.5)
     return float(np.clip(values, center - 8 * spread, center + 8 * spread).mean())
 
 

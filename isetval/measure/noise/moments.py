@@ -80,12 +80,14 @@ class Moments:
         """Temporal variance of the pixels that are not wildly noisy, DN^2 (nan with one frame)."""
         if self.frames < 2:
             return float("nan")
-        pixels = self.pixel_variance
-        limit = 10 * self.temporal.value
-        for _ in range(2):
+        pixels, center = self.pixel_variance, self.temporal.value
+        highest = float(pixels.max())
+        for _ in range(3):
+            limit = max(40 * center, 1.0)
+            if highest <= limit:
+                break
             kept = pixels[pixels <= limit]
             center = float(kept.mean(dtype=np.float64)) if kept.size else 0.0
-            limit = max(40 * center, 1.0)
         return center
 
     def outlier_limit(self, spread: float) -> float:

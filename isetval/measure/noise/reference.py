@@ -127,7 +127,7 @@ def _clean_moments(
 
 def moments_without(moments: Moments, bad: NDArray[np.bool_]) -> Quantity:
     """Temporal variance of the good pixels of moments that were taken with ``bad`` left out."""
-    if moments.frames < 2:
+    if moments.frames < 2 or not bad.any():
         return moments.temporal
     pixels = moments.pixel_variance[~bad]
     return Quantity(

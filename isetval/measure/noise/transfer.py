@@ -17,6 +17,7 @@ from isetval.measure.noise.levels import Level, LevelSeries, cut_series, measure
 from isetval.measure.noise.lyu2022 import single_level_gain
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.reference import DarkLevel, dark_level
+from isetval.measure.noise.statistics import PlaneStatistics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,6 +26,7 @@ NAN = float("nan")
 NOTHING = Quantity(NAN, NAN)
 METHODS = ("default", "lyu2022")
 JUMP = 0.08
+Extra = tuple[Mapping[str, Any], dict[int, PlaneStatistics]]
 CORRELATED = 0.05
 
 
@@ -160,14 +162,16 @@ def photon_transfer(
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
     groups = group(captures, roi, dark)
+    known: dict[int, PlaneStatistics] = {}
     planes = {
-        plane: _plane_transfer(groups, plane, roi, method, dict((choices or {}).get(plane, {})))
+        plane: _plane_transfer(groups, plane, roi, method, (dict((choices or {}).get(plane, {})), known))
         for plane in planes_of(groups.flats[0][0])
     }
     return PhotonTransfer(planes, method, groups.notes)
 
 
-def _plane_transfer(groups: Groups, plane: str, roi: Roi | None, method: str, choices: Mapping[str, Any]) -> PlaneTransfer:
+def _plane_transfer(groups: Groups, plane: str, roi: Roi | None, method: str, extra: Extra) -> PlaneTransfer:
+    choices = extra[0]
     reference = dark_level(groups.dark, plane, roi) if groups.dark else None
     series = measure_levels(groups.flats, plane, roi, reference)
     series, flags = cut_series(series, choices.get("cut_dn"))
@@ -180,7 +184,7 @@ def _plane_transfer(groups: Groups, plane: str, roi: Roi | None, method: str, ch
         )
     if method == "lyu2022":
         return _lyu2022(series, reference, plane, flags, roi)
-    return _default(series, reference, plane, flags, choices, roi)
+    return _default(series, reference, plane, flags, extra, roi)
 
 
 def _anchor(reference: DarkLevel | None, series: LevelSeries) -> Anchor | None:
@@ -195,12 +199,13 @@ def _default(
     reference: DarkLevel | None,
     plane: str,
     flags: tuple[str, ...],
-    choices: Mapping[str, Any],
+    extra: Extra,
     roi: Roi | None,
 ) -> PlaneTransfer:
     from isetval.measure.noise.bends import covariance_per_e, nonlinearity_at
     from isetval.measure.noise.response import prnu_percent
 
+    choices, known = extra
     anchor = _anchor(reference, series)
     points, used = series.points(), [level for level in series.levels if level.used]
     if anchor is None and len(used) < 2:
@@ -222,7 +227,7 @@ def _default(
     bend = _bend(fit, response)
     if not straight and abs(bend.value) > 3 * bend.sigma:
         flags += ("bend_of_unknown_cause",)
-    neighbors = covariance_per_e(series, plane, roi)
+    neighbors = covariance_per_e(series, plane, roi, known)
     flags += _doubts(used, neighbors)
     return PlaneTransfer(
         plane=plane,
