@@ -130,15 +130,12 @@ def spectral_qe(
         raise MeasurementError("fewer than four rows are left after the outlier test; give more patches or lights")
     model_error = model_error_of(rows, _free_matrix(rows, used, model_error), core)
     matrix = _fit(rows, used, constraints, model_error)
-    everything = np.ones_like(used)
-    matrix_all = _fit(rows, everything, constraints, model_error)
+    matrix_all = _fit(rows, np.ones_like(used), constraints, model_error)
     free, covariances, chi2 = _free_fit(rows, used, model_error)
-    dof = int(3 * used.sum() - 9)
-    draws = _spread(matrix, covariances, constraints, seed)
     residual = rows.measured - rows.predicted @ matrix
     return SpectralQE(
         matrix=matrix,
-        sigma=draws,
+        sigma=_spread(matrix, covariances, constraints, seed),
         at_bound=matrix <= 1e-9 * np.abs(matrix).max(),
         matrix_all=matrix_all,
         matrix_free=free,
@@ -149,19 +146,26 @@ def spectral_qe(
         row_light=tuple(rows.lights[k] for k in rows.light),
         row_patch=tuple(rows.patches[k] for k in rows.patch),
         chi2=chi2,
-        dof=dof,
+        dof=int(3 * used.sum() - 9),
         model_error=model_error,
-        rms_relative=_relative(rows, used, matrix),
-        rms_relative_all=_relative(rows, everything, matrix),
-        rms_relative_scale_only=_relative(rows, used, _scale_matrix(rows, used)),
-        rms_relative_gains_only=_relative(rows, used, _gain_matrix(rows, used)),
         outliers=tuple(rows.patches[k] for k in np.flatnonzero(~core)),
         patches=_misfits(rows, residual, statistics, p_values, core),
         holdout_light=_holdouts(rows, used, constraints, model_error, rows.light, rows.lights),
         holdout_patch=_holdouts(rows, used, constraints, model_error, rows.patch, rows.patches),
         warnings=tuple(_warnings(rows, core, exclude_outliers=exclude_outliers)),
         settings={"nonnegative": nonnegative, "exclude_outliers": exclude_outliers, "seed": seed, "weighted": sigma is not None},
+        **_errors(rows, used, matrix, matrix_all),
     )
+
+
+def _errors(rows: Rows, used: Bool, matrix: Float, matrix_all: Float) -> dict[str, float]:
+    """Relative rms errors of the fit and of simpler models."""
+    return {
+        "rms_relative": _relative(rows, used, matrix),
+        "rms_relative_all": _relative(rows, np.ones_like(used), matrix_all),
+        "rms_relative_scale_only": _relative(rows, used, _scale_matrix(rows, used)),
+        "rms_relative_gains_only": _relative(rows, used, _gain_matrix(rows, used)),
+    }
 
 
 def _rows(

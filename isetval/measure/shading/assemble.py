@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -108,43 +109,27 @@ def _plane(
     fitted: Fitted, plane: str, sensor: Sensor, *, radius: Float, shared: bool, inflation: float, black_sigma_dn: float
 ) -> FalloffPlane:
     surface, coefficients, k = _own(fitted, plane, shared=shared)
-    own_covariance = surface.plane_covariance(k, k)
-    gradient, curve = curve_gradient(radius, coefficients, surface.radial)
-    middle_values = surface.radial.at_center()
+    own_covariance, middle_values = surface.plane_covariance(k, k), surface.radial.at_center()
     at_center = float(coefficients @ middle_values)
-    signal = at_center * fitted.scale_dn[plane]
-    covariance = inflation**2 * gradient @ own_covariance @ gradient.T
-    lift = (1 - curve) * black_sigma_dn / signal
-    covariance = covariance + np.outer(lift, lift)
-    truncation = np.zeros_like(curve)
-    if fitted.shorter is not None and shared:
-        truncation = curve - curve_gradient(radius, fitted.shorter.coefficients[k], fitted.shorter.radial)[1]
-        covariance = covariance + np.outer(truncation, truncation)
     blocks, points, keep = fitted.blocks[plane], fitted.points[plane], fitted.keep[plane]
-    geometry = fitted.single[plane]
-    center, center_sigma = _center(geometry, sensor, inflation)
-    tilt_sigma = inflation * np.sqrt(np.maximum(np.diag(geometry.covariance)[-2:], 0))
-    chi2 = float(
-        (((points.value - evaluate(points, surface.geometry, coefficients, surface.radial)) / points.sigma) ** 2)[keep].sum()
-    )
-    dof = int(keep.sum()) - int((surface.places[k] >= 0).sum()) - len(surface.free)
-    return FalloffPlane(
+    misfit = (points.value - evaluate(points, surface.geometry, coefficients, surface.radial)) / points.sigma
+    chi2, dof = float((misfit[keep] ** 2).sum()), int(keep.sum() - (surface.places[k] >= 0).sum()) - len(surface.free)
+    more: dict[str, Any] = {
+        **_geometry(fitted.single[plane], sensor, inflation),
+        **_maps(blocks, points, keep, surface, coefficients, at_center),
+        **_rings(points, keep, surface, at_center),
+    }
+    part = FalloffPlane(
         plane=plane,
         radius_mm=radius,
-        curve=curve,
-        sigma=np.sqrt(np.maximum(np.diag(covariance), 0)),
-        covariance=covariance,
-        center_px=center,
-        center_sigma_px=center_sigma,
-        tilt_per_mm=(float(geometry.geometry[2]), float(geometry.geometry[3])),
-        tilt_sigma_per_mm=(float(tilt_sigma[0]), float(tilt_sigma[1])),
-        signal_dn=signal,
+        curve=curve_gradient(radius, coefficients, surface.radial)[1],
+        truncation=_truncation(fitted, radius, coefficients, k) if shared else np.zeros_like(radius),
+        signal_dn=at_center * fitted.scale_dn[plane],
         signal_sigma_dn=float(inflation * fitted.scale_dn[plane] * np.sqrt(middle_values @ own_covariance @ middle_values)),
         chi2=chi2,
         dof=dof,
         chi2_dof=chi2 / max(dof, 1),
-        **_maps(blocks, points, keep, surface, coefficients, at_center),
-        **_rings(points, keep, surface, at_center),
+        **more,
         coefficients=coefficients,
         coefficients_covariance=own_covariance,
         radial=surface.radial,
@@ -153,7 +138,31 @@ def _plane(
         clipped_blocks=blocks.clipped_blocks,
         bad_pixels=blocks.bad_pixels,
         dropped_blocks=int((blocks.used & ~keep).sum()),
+        sigma=np.zeros_like(radius),
+        covariance=np.zeros((radius.size, radius.size)),
     )
+    covariance = part.curve_covariance(radius)
+    return replace(part, covariance=covariance, sigma=np.sqrt(np.maximum(np.diag(covariance), 0)))
+
+
+def _truncation(fitted: Fitted, radius: Float, coefficients: Float, k: int) -> Float:
+    """Distance of the curve from that of the next poorer basis, where one was fitted for the purpose."""
+    if fitted.shorter is None:
+        return np.zeros_like(radius)
+    own = curve_gradient(radius, coefficients, fitted.surface.radial)[1]
+    return np.asarray(own - curve_gradient(radius, fitted.shorter.coefficients[k], fitted.shorter.radial)[1])
+
+
+def _geometry(single: Surface, sensor: Sensor, inflation: float) -> dict[str, tuple[float, float]]:
+    """Centre and tilt of one plane alone."""
+    center, center_sigma = _center(single, sensor, inflation)
+    tilt_sigma = inflation * np.sqrt(np.maximum(np.diag(single.covariance)[-2:], 0))
+    return {
+        "center_px": center,
+        "center_sigma_px": center_sigma,
+        "tilt_per_mm": (float(single.geometry[2]), float(single.geometry[3])),
+        "tilt_sigma_per_mm": (float(tilt_sigma[0]), float(tilt_sigma[1])),
+    }
 
 
 def _maps(

@@ -38,6 +38,8 @@ class FalloffPlane:
         one window was measured, else 1-D lists of blocks.  Blocks left out are NaN in ``map``.
     ring_radius_mm, ring, ring_sigma : (rings,)
         Tilt-corrected ring means: the curve without a polynomial, for a look.
+    truncation : (radii,)
+        Distance from the next poorer basis, counted in ``sigma``; 0 where a spare order was left.
     """
 
     plane: str
@@ -65,6 +67,7 @@ class FalloffPlane:
     coefficients: Float
     coefficients_covariance: Float
     radial: Radial
+    truncation: Float
     sigma_scale: float
     black_sigma_dn: float = 0.0
     clipped_blocks: int = 0
@@ -83,10 +86,13 @@ class FalloffPlane:
         return value, np.sqrt(np.maximum(np.diag(self.curve_covariance(radius)), 0))
 
     def curve_covariance(self, radius_mm: ArrayLike) -> Float:
-        """Covariance of the curve between radii in mm, (radii, radii), black level included."""
-        gradient, value = curve_gradient(np.asarray(radius_mm, dtype=float), self.coefficients, self.radial)
+        """Covariance of the curve between radii in mm, (radii, radii), black level and truncation included."""
+        radius = np.asarray(radius_mm, dtype=float)
+        gradient, value = curve_gradient(radius, self.coefficients, self.radial)
         lift = (1 - value) * self.black_sigma_dn / self.signal_dn
-        return np.asarray(self.sigma_scale**2 * gradient @ self.coefficients_covariance @ gradient.T + np.outer(lift, lift))
+        left = np.interp(radius, self.radius_mm, self.truncation)
+        noise = self.sigma_scale**2 * gradient @ self.coefficients_covariance @ gradient.T
+        return np.asarray(noise + np.outer(lift, lift) + np.outer(left, left))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +124,7 @@ class OddEven:
 
 @dataclass(frozen=True, eq=False)
 class RelativeIllumination:
-    """Relative illumination of all planes; ``result["Gr"]`` is one plane, ``result["G"]`` the mean green curve.
+    """Relative illumination of all planes; ``result["Gr"]`` is one plane, ``result["G"]`` is short for ``"Gr"``.
 
     ``center_px`` (row, col), ``tilt_per_mm`` (x, y) and their sigma are those of all planes together;
     ``decenter_px`` is the centre minus the sensor's middle.  ``warnings`` say what is doubtful.
