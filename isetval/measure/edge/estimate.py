@@ -39,6 +39,7 @@ from isetval.measure.edge.smooth import Binned, EsfFit, fit_esf
 Float = NDArray[np.floating[Any]]
 
 MIN_WIDTH_PX = 0.2
+QUARTILES = slice(128, -128)  # the inner half of the table: 4 widths on either side
 PASSES = 8
 MOVES = 6
 THINNED = 3500
@@ -191,7 +192,7 @@ def locate(task: _Task, geometry: Geometry, width: float, sides: SideNoise) -> L
         moved = _moved(geometry.line, line)
         geometry = Geometry(line, geometry.gain, geometry.half_px)
         old, width = width, wide
-        enough = 2e-4 + 0.1 / np.sqrt(max(float(shifts.weight.sum()), 1e-9))
+        enough = 2e-4 + 0.2 / np.sqrt(max(float(shifts.weight.sum()), 1e-9))
         if moved < enough and abs(width / old - 1) < 0.03:
             break
     assert fit is not None
@@ -273,22 +274,10 @@ def first_width(samples: Samples, line: EdgeLine, look: FirstLook) -> float:
 def center_and_width(fit: EsfFit) -> tuple[float, float]:
     """Place of half the step and interquartile width / 1.349 of the fitted ESF, px."""
     esf, _ = esf_table(fit)
-    z = np.arange(len(esf)) * TABLE_STEP - TABLE_REACH
-    level = (esf - fit.dark) / fit.step
-    middle = len(z) // 2
-    crossings = [_crossing(z, level, middle, value) for value in (0.25, 0.5, 0.75)]
-    if any(value is None for value in crossings):
+    level = np.maximum.accumulate((esf[QUARTILES] - fit.dark) * (1 / fit.step))
+    if level[0] > 0.2 or level[-1] < 0.8:
         return 0.0, fit.width_px
-    low, center, high = (float(value) for value in crossings if value is not None)
-    ratio = float(np.clip((high - low) / 1.349, 0.5, 2.0))
-    return center * fit.width_px, max(ratio * fit.width_px, MIN_WIDTH_PX)
-
-
-def _crossing(z: Float, level: Float, middle: int, value: float) -> float | None:
-    """Crossing of ``value`` nearest to the middle, None if there is none."""
-    below = level < value
-    change = np.flatnonzero(below[:-1] & ~below[1:])
-    if not len(change):
-        return None
-    i = int(change[np.argmin(np.abs(change - middle))])
-    return float(z[i] + (value - level[i]) / (level[i + 1] - level[i]) * TABLE_STEP)
+    z = (np.arange(len(esf))[QUARTILES]) * TABLE_STEP - TABLE_REACH
+    low, center, high = np.interp([0.25, 0.5, 0.75], level, z)
+    ratio = min(max(float(high - low) / 1.349, 0.5), 2.0)
+    return float(center) * fit.width_px, max(ratio * fit.width_px, MIN_WIDTH_PX)

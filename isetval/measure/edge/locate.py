@@ -150,7 +150,7 @@ def first_look(samples: Samples) -> FirstLook | None:
     taken of noisy data.
     """
     v = samples.values
-    dark, bright = two_levels(v)
+    dark, bright = two_levels(v[::3])
     n = v.shape[1]
     sign = 1.0 if float(v.mean(axis=0) @ (np.arange(n) - (n - 1) / 2)) >= 0 else -1.0
     walk = np.cumsum(v - (dark + bright) / 2, axis=1) * sign
@@ -162,7 +162,10 @@ def first_look(samples: Samples) -> FirstLook | None:
     good = (k >= 1) & (k <= n - 3) & (-depth > need) & (rise > need)
     if int(good.sum()) < 6:
         return None
-    x = samples.x0_px + samples.step_px * (k + 0.5)
+    low, high = v[rows, k], v[rows, np.minimum(k + 1, n - 1)]
+    rest = ((dark + bright) / 2 - low) * sign
+    part = np.clip(rest / np.maximum((high - low) * sign, 1e-9 * (bright - dark) + 1e-300), 0.0, 1.0)
+    x = samples.x0_px + samples.step_px * (k + part)
     y = samples.y_px
     line, scatter = _robust_line(x[good], y[good], sign, samples.step_px)
     return FirstLook(line, dark, bright, good, scatter)

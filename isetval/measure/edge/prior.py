@@ -190,7 +190,7 @@ def _halton_normal(n: int, base: int) -> Float:
 def _diagonal(base: Float, extra: Float) -> tuple[Float, Float, Float]:
     """Vectors in which both covariances are diagonal, and their variances; negligible modes dropped."""
     value, vector = np.linalg.eigh(base + extra)
-    keep = value > 1e-9 * value[-1]
+    keep = value > 1e-8 * value[-1]
     root = vector[:, keep] * np.sqrt(value[keep])
     inverse = vector[:, keep] / np.sqrt(value[keep])
     share, turn = np.linalg.eigh(inverse.T @ base @ inverse)

@@ -270,22 +270,28 @@ def update_line(line: EdgeLine, samples: Samples, shifts: RowShifts, *, order: i
     p, w, shift = line.legendre(samples), shifts.weight, shifts.shift_px
     if not used.all():
         p, w, shift = p[:, used], w[used], shift[used]
-    old = len(line.coefficients)
-    target = shift + line.coefficients @ p[:old]
+    target = shift + line.coefficients @ p[: len(line.coefficients)]
     n = len(w)
-    pw = p * w
-    gram, moment = pw @ p.T, pw @ target
-    floor = ROW_FLOOR_PX**2 * float(w.sum())
-    best: tuple[float, Float, float] | None = None
-    for k in range(1, MAX_ORDER + 1) if order is None else (order,):
-        if n < 3 * k + 3:
-            break
-        c = np.linalg.solve(gram[: k + 1, : k + 1], moment[: k + 1])
-        rest = target - c @ p[: k + 1]
-        chi2 = float(w @ (rest * rest))
-        score = n * float(np.log((chi2 + floor) / n)) + (k + 1) * float(np.log(n)) * 1.5
-        if best is None or score < best[0] - 2:
-            best = (score, c, chi2 / max(n - k - 1, 1))
-    if best is None:
+    most = min(MAX_ORDER, (n - 3) // 3) if order is None else order
+    if most < 1 or n < 3 * most + 3:
         return line, float("nan")
-    return line.with_coefficients(best[1]), best[2]
+    pw = p[: most + 1] * w
+    gram, moment = pw @ p[: most + 1].T, pw @ target
+    # the residuals of all orders at once: with L L' = gram, each order k takes (L^-1 moment)_k^2 off
+    lower = np.linalg.cholesky(gram)
+    gain = np.linalg.solve(lower, moment) ** 2
+    rest = target - np.linalg.solve(gram, moment) @ p[: most + 1]
+    chi2 = float(w @ (rest * rest)) + np.concatenate([np.cumsum(gain[::-1])[-2::-1], [0.0]])
+    best = most if order is not None else _best_order(chi2, n, ROW_FLOOR_PX**2 * float(w.sum()))
+    c = np.linalg.solve(gram[: best + 1, : best + 1], moment[: best + 1])
+    return line.with_coefficients(c), float(chi2[best]) / max(n - best - 1, 1)
+
+
+def _best_order(chi2: Float, n: int, floor: float) -> int:
+    """Order of the least Bayesian information (a higher one must win by 2); ``chi2`` for orders 0, 1, ..."""
+    score = n * np.log((chi2 + floor) / n) + 1.5 * np.log(n) * np.arange(1, len(chi2) + 1)
+    best = 1
+    for k in range(2, len(chi2)):
+        if score[k] < score[best] - 2:
+            best = k
+    return best

@@ -54,7 +54,7 @@ def too_small(samples: Samples, channel: str) -> str | None:
 
 def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | None:
     """Code and sentence if the rows do not agree on one edge."""
-    dark, bright = two_levels(samples.values)
+    dark, bright = (look.dark, look.bright) if look is not None else two_levels(samples.values)
     noise = pixel_noise(samples.values)
     rough = 0.63 * float(np.mean(np.abs(samples.values[::3, 1:] - samples.values[::3, :-1])))
     seen = transitions(samples.values, dark, bright, max(noise, rough))
@@ -188,13 +188,14 @@ def _sides(flags: dict[str, str], estimate: Estimate, distance: Float) -> None:
 
 
 def _single(flags: dict[str, str], samples: Samples, estimate: Estimate, distance: Float) -> None:
-    """Second transitions: plateaus that are not flat, or blocks that disagree with the fit."""
+    """Second transitions: plateaus that are not flat, or blocks that disagree with the fit (every other row is looked at)."""
     fit = estimate.fit
+    samples, distance = samples.every(2), distance[((len(distance) - 1) % 2) // 2 :: 2]
     level = samples.values / gain_of(samples, estimate.geometry, distance)
     far = np.abs(distance) > max(6 * fit.width_px, 4.0)
-    place = distance / estimate.geometry.half_px
+    place = distance * (1 / estimate.geometry.half_px)
     expected = np.where(distance > 0, fit.dark + fit.step, fit.dark)
-    expected = expected * (1 + fit.coefficients[2] * place + fit.coefficients[3] * place**2)
+    expected *= 1 + place * (fit.coefficients[2] + fit.coefficients[3] * place)
     rest = np.where(far, level - expected, 0.0)
     rows, cols = (max(1, n // 8) for n in rest.shape)
     kr, kc = rest.shape[0] // rows, rest.shape[1] // cols
