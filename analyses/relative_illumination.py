@@ -130,11 +130,9 @@ def simulated(frames, seed):
                 result = relative_illumination(capture)
                 found.append({**errors(result, curve, center, red_loss), "chi2_dof": result.chi2_dof})
             mean = {key: float(np.sqrt(np.mean([f[key] ** 2 for f in found]))) for key in found[0]}
-            sigma = float(max(result.center_sigma_px))
-            rows.append(
-                {"shape": name, "tilt": "3 %" if tilted else "0", "center_sigma_px": sigma, "basis": result.basis, **mean}
-            )
-    return rows, result, capture
+            case = {"shape": name, "tilt": "3 %" if tilted else "0", "basis": result.basis}
+            rows.append({**case, "center_sigma_px": float(max(result.center_sigma_px)), **mean})
+    return rows, result
 
 
 def half_turn(seed):
@@ -171,7 +169,7 @@ def measured_phone():
 # %%
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description="Relative illumination: target against measured.")
     parser.add_argument("--frames", type=int, default=2, help="frames of each case")
     parser.add_argument("--seed", type=int, default=20260)
     parser.add_argument("--json", type=Path)
