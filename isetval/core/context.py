@@ -140,6 +140,19 @@ def poisson(mean: Any, context: Context, part: int = 0) -> Float:
     if context.poisson_gaussian:
         z = rng.standard_normal(mean.shape, dtype=np.float32)
         return np.asarray(mean + np.sqrt(mean) * z)
-    from scipy.stats import poisson as distribution
+    return _inverse_poisson(rng.random(mean.shape), mean)
 
-    return np.asarray(distribution.ppf(rng.random(mean.shape), mean), dtype=np.float64)
+
+def _inverse_poisson(chance: Float, mean: Float) -> Float:
+    """Smallest k with CDF(k; mean) >= chance, by adding up the terms: exact, and quick for the small means it is used for."""
+    term = np.exp(-mean)
+    reached, out = term.copy(), np.zeros(mean.shape)
+    top = float(mean.max(initial=0.0))
+    for k in range(1, int(top + 15 * np.sqrt(top) + 40)):
+        short = chance > reached
+        if not short.any():
+            break
+        out += short
+        term *= mean / k
+        reached += term
+    return out
