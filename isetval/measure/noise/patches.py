@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 METHODS = ("two_frame", "lyu2022")
+REASONS = ("", "clipped_at_white", "clipped_at_zero")
+CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ def uniform_patches(
             raise InputError("method lyu2022 needs gain_dn_per_e (its outlier limit is three Poisson sd); give the gain in DN/e-")
         name = channel or ("MONO" if frames[0].sensor.cfa == "MONO" else "G")
         return PatchTable(tuple(published_rule(frames[0], corners, size, name, gain_dn_per_e, seed)), method)
+    if size % 2 and frames[0].sensor.cfa != "MONO":
+        raise InputError(f"size is {size}; it needs an even number on a Bayer mosaic, so that every patch holds the same pixels")
     if len(frames) < 2:
         raise InputError(
             "uniform_patches was given one frame; the two-frame method needs two or more of the same scene "
@@ -156,63 +160,53 @@ def _corners(region: Roi, size: int, count: int | None, seed: int) -> NDArray[np
 def _two_frame(
     frames: Sequence[Capture], planes: Sequence[str], corners: NDArray[np.int64], size: int, label: str
 ) -> list[Patch]:
-    per_plane = [_plane_patches(frames, plane, corners, size) for plane in planes]
-    out = []
-    for i, (row, col) in enumerate(corners):
-        stacks = [p[i] for p in per_plane]
-        parts = [_patch_moments(stack, frames[0].sensor.white_dn - black) for stack, black in stacks]
-        pixels = sum(p[4] for p in parts)
-        weight = np.array([p[4] for p in parts]) / pixels
-        mean, temporal, spatial = (float(weight @ np.array([p[k] for p in parts])) for k in range(3))
-        dof = sum(p[5] for p in parts)
-        reason = next((p[3] for p in parts if p[3]), "")
-        noise = math.sqrt(max(temporal, 0.0))
-        region = (int(row), int(row) + size, int(col), int(col) + size)
-        sigma = noise / math.sqrt(2 * dof) if dof else math.nan
-        mean_sigma = math.sqrt(max(temporal, 0.0) / pixels / len(frames))
-        out.append(Patch(region, label, mean, mean_sigma, noise, math.sqrt(max(spatial, 0.0)), sigma, pixels, reason))
+    out: list[Patch] = []
+    for start in range(0, len(corners), CHUNK):
+        part = corners[start : start + CHUNK]
+        found = [_moments(*_stacks(frames, plane, part, size)) for plane in planes]
+        mean, temporal, spatial = np.mean([f[:3] for f in found], axis=0)
+        pixels, dof = len(found) * found[0][4], len(found) * found[0][5]
+        noise = np.sqrt(np.maximum(temporal, 0.0))
+        spread = np.sqrt(np.maximum(spatial, 0.0))
+        clip = np.max([f[3] for f in found], axis=0)
+        for i, (row, col) in enumerate(part):
+            region = (int(row), int(row) + size, int(col), int(col) + size)
+            sd = float(noise[i])
+            errors = sd / math.sqrt(pixels * len(frames)), sd / math.sqrt(2 * dof)
+            reason = REASONS[int(clip[i])]
+            out.append(Patch(region, label, float(mean[i]), errors[0], sd, float(spread[i]), errors[1], pixels, reason))
     return out
 
 
-def _plane_patches(frames: Sequence[Capture], plane: str, corners: NDArray[np.int64], size: int) -> list[tuple[Float, float]]:
-    """For each corner the stack (frames, rows, cols) above black, and the black level."""
-    black = plane_black_dn(frames[0], plane)
-    views = [plane_view(c, plane)[0] for c in frames]
+def _stacks(frames: Sequence[Capture], plane: str, corners: NDArray[np.int64], size: int) -> tuple[Float, float, float]:
+    """Stacks (patches, frames, rows, cols) of raw DN, black level and white level."""
     _, (row0, col0), step = plane_view(frames[0], plane)
-    out = []
-    for row, col in corners:
-        rows = slice(-(-(row - row0) // step), -(-(row + size - row0) // step))
-        cols = slice(-(-(col - col0) // step), -(-(col + size - col0) // step))
-        out.append((_cut(views, rows, cols) - black, black))
-    return out
+    count = np.arange(size // step)
+    rows = -((row0 - corners[:, 0]) // step)[:, None] + count
+    cols = -((col0 - corners[:, 1]) // step)[:, None] + count
+    views = [plane_view(c, plane)[0] for c in frames]
+    stack = np.stack([view[rows[:, :, None], cols[:, None, :]] for view in views], axis=1).astype(np.float64)
+    return stack, plane_black_dn(frames[0], plane), frames[0].sensor.white_dn
 
 
-def _cut(views: Sequence[NDArray[Any]], rows: slice, cols: slice) -> Float:
-    part = (slice(max(rows.start, 0), rows.stop), slice(max(cols.start, 0), cols.stop))
-    return np.stack([view[part] for view in views]).astype(np.float64)
+def _moments(stack: Float, black: float, white: float) -> tuple[Float, Float, Float, NDArray[np.int64], int, int]:
+    """Mean, temporal and spatial variance, clipping (index of ``REASONS``), pixels, degrees of freedom.
 
-
-def _patch_moments(stack: Float, white: float) -> tuple[float, float, float, str, int, int]:
-    """Mean, temporal and spatial variance, reason, pixels, degrees of freedom; frames scaled to one mean."""
-    frames = stack.shape[0]
-    pixels = stack[0].size
-    means = stack.mean(axis=(1, 2))
-    level = float(means.mean())
-    average = stack.mean(axis=0)
-    texture = (
-        average / level if level > 0 and level**2 * pixels > 100 * float(np.var(stack[0] - stack[-1])) else np.ones_like(average)
-    )
-    rest = stack - average - (means - level)[:, None, None] * texture
-    squares = np.einsum("fij,fij->ij", rest, rest)
-    total = float(squares.sum())
-    # taking the frame's level out along the texture T costs 2 <T V> / <V> - <T^2> degrees of freedom, 1 where T = 1
-    lost = 2 * float((texture * squares).sum()) / total - float(np.mean(texture**2)) if total > 0 else 1.0
-    dof = (frames - 1) * (pixels - 1)
-    temporal = total / ((frames - 1) * (pixels - min(max(lost, 0.0), pixels / 2)))
-    spatial = float(np.var(average, ddof=1)) if pixels > 1 else math.nan
-    reason = ""
-    if np.mean(stack >= white) > 0:
-        reason = "clipped_at_white"
-    elif level <= 0:
-        reason = "no_signal"
-    return level, temporal, spatial, reason, pixels, dof
+    Frames are leveled along the patch's own texture T, which costs 2 <T V> / <V> - <T^2> degrees of freedom, 1 where
+    T = 1.
+    """
+    frames, pixels = stack.shape[1], stack.shape[2] * stack.shape[3]
+    clip = np.where(np.any(stack >= white, axis=(1, 2, 3)), 1, np.where(np.any(stack == 0, axis=(1, 2, 3)), 2, 0))
+    stack = stack - black
+    means = stack.mean(axis=(2, 3))
+    level = means.mean(axis=1)
+    average = stack.mean(axis=1)
+    lit = level * np.abs(level) * pixels > 100 * np.var(stack[:, 0] - stack[:, -1], axis=(1, 2))
+    texture = np.where(lit[:, None, None], average / np.where(lit, level, 1.0)[:, None, None], 1.0)
+    rest = stack - average[:, None] - (means - level[:, None])[:, :, None, None] * texture[:, None]
+    squares = np.einsum("nfij,nfij->nij", rest, rest)
+    total = squares.sum(axis=(1, 2))
+    lost = 2 * (texture * squares).sum(axis=(1, 2)) / np.maximum(total, 1e-300) - np.mean(texture**2, axis=(1, 2))
+    temporal = total / ((frames - 1) * (pixels - np.clip(lost, 0.0, pixels / 2)))
+    spatial = average.var(axis=(1, 2), ddof=1)
+    return level, temporal, spatial, clip, pixels, (frames - 1) * (pixels - 1)

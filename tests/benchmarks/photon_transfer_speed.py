@@ -1,0 +1,79 @@
+"""Speed of photon transfer on 32 pairs of 2 MP frames, as a ratio to the EMVA 1288 way within one run.
+
+Run: OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python tests/benchmarks/photon_transfer_speed.py [MONO|RGGB]
+
+The other way is written here from the standard's formulas as its reference implementation uses them: for each level
+whole-frame 64-bit integer sums, sums of squares and the pseudo-variance L (L sum x^2 - (sum x)^2), then means of
+those, the difference of the frame means taken off.  It gives mean and temporal variance only; ``photon_transfer`` also gives
+dark noise, DSNU, PRNU, defects, the fit and its error.  Both hold all frames in memory; no file is read.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import tracemalloc
+
+import numpy as np
+
+from isetval import Capture
+from isetval.measure import photon_transfer
+
+SHAPE, PAIRS, REPEATS = (1224, 1632), 33, 4  # 32 lit pairs and a dark one
+
+
+def frames(cfa: str) -> list[Capture]:
+    rng = np.random.default_rng(1)
+    pattern = 1 + 0.0054 * rng.standard_normal(SHAPE, dtype=np.float32)
+    out = []
+    for step in range(PAIRS):
+        mu = np.float32(5000 * step / (PAIRS - 1)) * pattern
+        for _ in range(2):
+            charge = mu + np.sqrt(mu + np.float32(8.7)) * rng.standard_normal(SHAPE, dtype=np.float32)
+            codes = np.clip(np.rint(0.1707 * charge + 64), 0, 1023).astype(np.uint16)
+            out.append(Capture.from_array(codes, cfa=cfa, time_s=max(step, 0.01) * 1e-3))
+    return out
+
+
+def standard_way(captures: list[Capture]) -> list[tuple[float, float]]:
+    out = []
+    for first, second in zip(captures[::2], captures[1::2], strict=True):
+        total, squares, difference, before = np.zeros(SHAPE, np.int64), np.zeros(SHAPE, np.int64), 0.0, None
+        for capture in (first, second):
+            values = capture.mosaic.astype(np.int64)
+            total += values
+            squares += np.square(values)
+            if before is not None:
+                difference += np.mean(values) - np.mean(before)
+            before = values
+        pseudo = 2 * (2 * squares - np.square(total))
+        out.append((float(total.sum()) / (2 * total.size), float(pseudo.sum()) / (4 * total.size) - difference**2 / 2))
+    return out
+
+
+def best(function, *arguments) -> tuple[float, float]:
+    """Shortest wall-clock and processor time, s."""
+    wall, cpu = [], []
+    for _ in range(REPEATS):
+        start = time.perf_counter(), time.process_time()
+        function(*arguments)
+        wall.append(time.perf_counter() - start[0])
+        cpu.append(time.process_time() - start[1])
+    return min(wall), min(cpu)
+
+
+def main() -> None:
+    captures = frames(sys.argv[1] if len(sys.argv) > 1 else "MONO")
+    theirs, ours = best(standard_way, captures), best(photon_transfer, captures)
+    tracemalloc.start()
+    photon_transfer(captures)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    print(f"{os.cpu_count()} cores; EMVA way {theirs[0]:.3f} s (processor {theirs[1]:.3f}), ours {ours[0]:.3f} s ({ours[1]:.3f})")
+    print(f"ratio {theirs[0] / ours[0]:.1f} by the clock, {theirs[1] / ours[1]:.1f} by processor time (target 5)")
+    print(f"extra memory {peak / captures[0].mosaic.nbytes:.1f} frames (target 4)")
+
+
+if __name__ == "__main__":
+    main()
