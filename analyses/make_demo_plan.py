@@ -32,7 +32,7 @@ LEVELS = (0.2, 0.5, 1.0)
 FIELD = [(0, 0), (0.55, 0), (-0.55, 0), (0, 0.6), (0, -0.6), (0.97, 0.97), (-0.97, 0.97), (0.97, -0.97), (-0.97, -0.97)]
 EDGE_POINTS = {"center": (0.0, 0.0), "middle": (0.5, 0.4), "outer": (-0.75, -0.8)}
 EDGE_ANGLES = {"vertical": 5.2, "horizontal": -4.6}
-FOCUS_UM = (-8, 0, 8)
+FOCUS_UM = {"center": (-8, 0, 8), "middle": (0,), "outer": (-8, 0, 8)}
 NOTES = "own formula of the project, see analyses/make_demo_plan.py and isetval/scenes/own_spectra.py; licence BSD-3-Clause"
 
 
@@ -166,11 +166,11 @@ def edges(s: str) -> list[str]:
         for orientation in EDGE_ANGLES:
             setup = f"{s}_edge_{point}_{orientation[0]}"
             more = {"light": "sphere", "target": f"edge_{orientation}"}
-            for focus in FOCUS_UM:
+            for focus in FOCUS_UM[point]:
                 name = f"{setup}_{'m' if focus < 0 else 'p' if focus > 0 else 'z'}{abs(focus)}"
-                out.append(shot(name, "edge", s, setup, window_at(x, y, 80, 80), seconds(4200), 2, **more, focus_um=float(focus)))
+                out.append(shot(name, "edge", s, setup, window_at(x, y, 80, 80), seconds(4200), 1, **more, focus_um=float(focus)))
     again = {"light": "sphere", "target": "edge_vertical", "focus_um": 0.0, "repeat_of": f"{s}_edge_center_v_z0"}
-    out.append(shot(f"{s}_edge_center_v_r", "edge", s, f"{s}_edge_center_vr", window_at(0, 0, 80, 80), seconds(4200), 2, **again))
+    out.append(shot(f"{s}_edge_center_v_r", "edge", s, f"{s}_edge_center_vr", window_at(0, 0, 80, 80), seconds(4200), 1, **again))
     return out
 
 

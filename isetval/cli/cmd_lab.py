@@ -54,16 +54,13 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
 
 def demo(args: argparse.Namespace, console: Console) -> Outcome:
     """Shoot the embedded plan with a camera in which one effect is hidden; compare, diagnose, add, compare again; reveal."""
-    from isetval.demo import DEFAULT_SEED, demo_lines, run_demo
+    from isetval.cli.loopwords import demo_lines
+    from isetval.demo import DEFAULT_SEED, run_demo
 
     seed = DEFAULT_SEED if args.seed is None else args.seed
     folder = Path(args.output or "isetval-demo")
 
-    def step(text: str) -> None:
-        console.note(text)
-        console.say(text)
-
-    found = run_demo(seed, folder=folder, jobs=args.jobs, step=step, say=console.say)
+    found = run_demo(seed, folder=folder, jobs=args.jobs, step=console.step, say=console.say)
     return Outcome(found, demo_lines(found), FINE)
 
 

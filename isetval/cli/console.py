@@ -67,6 +67,12 @@ class Console:
         if self.verbose:
             self.note(text)
 
+    def step(self, text: str) -> None:
+        """A step that is always told: part of a story."""
+        self.note(text)
+        with self._lock:
+            self._label, self._since = text, time.monotonic()
+
     def progress(self, what: str, done: int, total: int) -> None:
         """``done`` of ``total`` steps of one kind."""
         with self._lock:

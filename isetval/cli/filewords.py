@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from isetval.cli.tables import text_table, with_sigma
+from isetval.cli.tables import text_table
+from isetval.words import with_sigma
 
 if TYPE_CHECKING:
     from isetval.core.metric import Metric

@@ -5,17 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from isetval.cli.tables import text_table, with_sigma
-
-FAILS_Z2 = 1.5
-VERDICT_WORDS = {
-    "consistent": "the model agrees with the captures within their error bars",
-    "attributed": "the captures ask for one effect",
-    "ambiguous": "the captures ask for one of several effects that they cannot tell apart",
-    "partial": "an effect explains part of the difference; something else remains",
-    "unexplained": "the model fails, and none of the known effects explains it",
-    "gate_failed": "repeated set-ups do not agree within their error bars, so nothing can be concluded",
-}
+from isetval.cli.tables import text_table
+from isetval.words import VERDICT_WORDS, effect_words, relative_words, state_of, with_sigma
 
 
 def gate_line(gate: Mapping[str, Any]) -> str:
@@ -38,7 +29,7 @@ def ladder_table(ladder: Sequence[Mapping[str, Any]]) -> list[str]:
         families = list(dict.fromkeys(row["family"] for row in rows))
         cell = {(row["family"], row["model"]): row for row in rows}
         what = "nothing was fitted to these captures" if role == "prediction" else "in-sample: effects were fitted to these"
-        out.append(f"# mean-square z (1 = agrees within the error bars) and rms relative error; {role} ({what})")
+        out.append(f"# mean-square z (1 = agrees within the error bars, ! fails) and rms relative error; {role}: {what}")
         body = []
         for family in families:
             entries = [cell.get((family, m)) for m in models]
@@ -51,10 +42,9 @@ def ladder_table(ladder: Sequence[Mapping[str, Any]]) -> list[str]:
 def _cell(row: Mapping[str, Any] | None) -> str:
     if row is None or row["mean_square_z"] is None:
         return "-"
-    relative = row["rms_relative_error"]
-    mark = "" if row["mean_square_z"] <= FAILS_Z2 else " !"
-    tail = f" ({100 * relative:.2f} %)" if relative is not None else ""
-    return f"{row['mean_square_z']:.3f}{mark}{tail}"
+    mark = {"fails": " !", "doubtful": " ?"}.get(state_of(row["mean_square_z"], row["n"]), "")
+    relative = relative_words(row)
+    return f"{row['mean_square_z']:.3f}{mark}" + (f" ({relative})" if relative else "")
 
 
 def comparison_lines(result: Mapping[str, Any]) -> list[str]:
@@ -115,17 +105,6 @@ def next_lines(captures: Sequence[Mapping[str, Any]]) -> list[str]:
     return ["", "# captures that would tell them apart", *text_table(("capture", "separates", "rho"), body)]
 
 
-def effect_words(effect: Mapping[str, Any]) -> str:
-    """A named effect with its parameters."""
-    parts = []
-    for name, p in effect["parameters"].items():
-        words = f"{name} {with_sigma(p['value'], p['sigma'], p['unit'])}"
-        if effect.get("present_in_model"):
-            words += f" (the model has {p['nominal']:g})"
-        parts.append(words)
-    return f"{effect['name']}: {', '.join(parts)}" if parts else str(effect["name"])
-
-
 def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = None) -> list[str]:
     """Verdict, named effects, table of candidates, what is left, what next, the ladder."""
     lines = [gate_line(result["gate"]), "", f"# verdict: {result['verdict']} - {VERDICT_WORDS[result['verdict']]}"]
@@ -157,3 +136,22 @@ def _candidate_lines(candidates: Sequence[Mapping[str, Any]], count: int = 8) ->
         body.append((c["name"], estimate, f"{c['dchi2']:.1f}", f"{c['p_corrected']:.2g}", posterior))
     header = ("candidate", "one-step estimate", "dchi2", "p (look-elsewhere)", "posterior")
     return ["", f"# suspects (of {len(seen)} observable candidates)", *text_table(header, body)]
+
+
+def demo_lines(result: Mapping[str, Any]) -> list[str]:
+    """The end of the demo in words: before, verdict, ladder, reveal, report."""
+    diagnosis, hidden = result["diagnosis"], result["hidden"]
+    lines = ["", f"# verdict: {diagnosis['verdict']} - {VERDICT_WORDS[diagnosis['verdict']]}"]
+    for effect in diagnosis["effects"]:
+        also = f"; not to be told from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
+        lines.append(f"  {effect_words(effect)} (posterior {effect['posterior']:.2f}{also})")
+    if diagnosis["leftover"]:
+        lines.append(f"  left over: {diagnosis['leftover']}")
+    held = [row for row in result["after"]["ladder"] if row["role"] == "prediction"]
+    lines += ["", *ladder_table(held), ""]
+    named = [e["name"] for e in diagnosis["effects"]]
+    right = hidden["name"] in named or any(hidden["name"] in e["equivalent"] for e in diagnosis["effects"])
+    truth = ", ".join(f"{k} {p['value']:.4g} {p['unit']}" for k, p in hidden["parameters"].items())
+    lines.append(f"# hidden was: {hidden['name']} ({truth}) - {'found' if right else 'NOT found'}")
+    memory = f", {result['peak_memory_mb']:.0f} MB" if result.get("peak_memory_mb") else ""
+    return [*lines, f"report: {result['report']}", f"({result['seconds']:.0f} s{memory}; files in {result['folder']})"]

@@ -1,22 +1,8 @@
-"""Numbers and tables in plain text."""
+"""Tables in plain text."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
-
-
-def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
-    """A value and its standard deviation, with two digits of the latter: ``12.34 +- 0.56 DN``."""
-    tail = f" {unit}" if unit and unit != "1" else ""
-    if value is None or not math.isfinite(value):
-        return "not measurable"
-    if sigma is None or not math.isfinite(sigma) or sigma <= 0:
-        return f"{value:.6g}{tail}"
-    digits = max(0, 1 - math.floor(math.log10(sigma)))
-    if digits > 9 or abs(value) >= 1e7:
-        return f"{value:.4g} +- {sigma:.2g}{tail}"
-    return f"{value:.{digits}f} +- {sigma:.{digits}f}{tail}"
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[object]], *, indent: int = 2) -> list[str]:

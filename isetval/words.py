@@ -1,0 +1,58 @@
+"""Numbers and verdicts in words, for the terminal and the report alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+FAILS_Z2 = 1.5
+DOUBTFUL_Z2 = 1.15
+VERDICT_WORDS = {
+    "consistent": "the model agrees with the captures within their error bars",
+    "attributed": "the captures ask for one effect",
+    "ambiguous": "the captures ask for one of several effects that they cannot tell apart",
+    "partial": "an effect explains part of the difference; something else remains",
+    "unexplained": "the model fails, and none of the known effects explains it",
+    "gate_failed": "repeated set-ups do not agree within their error bars, so nothing can be concluded",
+}
+
+
+def with_sigma(value: float | None, sigma: float | None, unit: str = "", *, sign: str = "+-") -> str:
+    """A value and its standard deviation, with two digits of the latter: ``12.34 +- 0.56 DN``."""
+    tail = f" {unit}" if unit and unit != "1" else ""
+    if value is None or not math.isfinite(value):
+        return "not measurable"
+    if sigma is None or not math.isfinite(sigma) or sigma <= 0:
+        return f"{value:.6g}{tail}"
+    digits = max(0, 1 - math.floor(math.log10(sigma)))
+    if digits > 6 or abs(value) >= 1e7:
+        return f"{value:.4g} {sign} {sigma:.2g}{tail}"
+    return f"{value:.{digits}f} {sign} {sigma:.{digits}f}{tail}"
+
+
+def effect_words(effect: Mapping[str, Any], *, sign: str = "+-") -> str:
+    """A named effect with its parameters."""
+    parts = []
+    for name, p in effect["parameters"].items():
+        words = f"{name} {with_sigma(p['value'], p['sigma'], p['unit'], sign=sign)}"
+        if effect.get("present_in_model"):
+            words += f" (the model has {p['nominal']:g})"
+        parts.append(words)
+    return f"{effect['name']}: {', '.join(parts)}" if parts else str(effect["name"])
+
+
+def state_of(mean_square_z: float | None, n: int = 1) -> str:
+    """``agrees``, ``doubtful`` or ``fails``: how far a mean-square z lies above 1, against its own scatter sqrt(2/n)."""
+    if mean_square_z is None:
+        return "unknown"
+    spread = math.sqrt(2 / max(n, 1))
+    if mean_square_z > 1 + max(0.15, 4.5 * spread):
+        return "fails"
+    return "doubtful" if mean_square_z > 1 + max(0.05, 3 * spread) else "agrees"
+
+
+def relative_words(row: Mapping[str, Any]) -> str:
+    """The rms relative error of a family in percent; empty where the measured values are noise around zero."""
+    relative = row["rms_relative_error"]
+    return "" if relative is None or relative > 0.6 else f"{100 * relative:.2f} %"
