@@ -49,7 +49,8 @@ def from_diagnosis(effect: str, path: Path | str) -> NewValues:
         also = sorted({e for entry in named.values() for e in entry["equivalent"]})
         hint = f"; {effect} is only named as indistinguishable, so set its values with --set" if effect in also else ""
         raise InputError(
-            f"{path}: names {', '.join(named) or 'no effect'} (verdict {result['verdict']}), not {effect}{hint or '; add one of those'}"
+            f"{path}: names {', '.join(named) or 'no effect'} (verdict {result['verdict']}), "
+            f"not {effect}{hint or '; add one of those'}"
         )
     parameters = named[effect]["parameters"]
     return NewValues(

@@ -207,8 +207,7 @@ def _shot_lines(number: int, group: Sequence[FileFacts]) -> list[str]:
         out.append(f"iso = {first.exposure.iso:g}")
     if first.role in ("edge", "chart", "scene"):
         out.append(f'target = "{first.role}"')
-    out.append(
-        f"window = [0, 0, {first.shape[0]}, {first.shape[1]}]   # CHECK: place of a crop on the sensor; mean {mean:.1f} % of the range"
-    )
+    window = f"window = [0, 0, {first.shape[0]}, {first.shape[1]}]"
+    out.append(f"{window}   # CHECK: place of a crop on the sensor; mean {mean:.1f} % of the range")
     names = ", ".join(_quoted(f.file) for f in group)
     return [*out, f"files = [{names}]", ""]

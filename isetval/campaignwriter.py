@@ -221,7 +221,7 @@ def _camera(campaign: Campaign, folder: Path) -> str:
     model = load_model(resolve_path(campaign.camera, campaign.folder or Path()))
     effects = []
     for effect in model.effects:
-        changes: dict[str, str] = {}
+        changes: dict[str, Any] = {}
         for key in effect.files():
             value = getattr(effect, key)
             if value and not value.startswith(PACKAGE_PREFIX):

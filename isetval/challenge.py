@@ -55,7 +55,8 @@ def draw_effect(model: CameraModel, rng: np.random.Generator, *, avoid: str = ""
     cls = choices[int(rng.integers(len(choices)))]
     start = model.effect(cls.name)
     if start is None:
-        start = cls(**{p.name: p.null for p in cls.parameters() if p.tau is not None and not p.shape})
+        nulls: dict[str, Any] = {p.name: p.null for p in cls.parameters() if p.tau is not None and not p.shape}
+        start = cls(**nulls)
     strength = float(rng.choice(STRENGTHS))
     values = {}
     for p in cls.parameters():
@@ -76,7 +77,7 @@ def make_challenge(
     seed: int | None = None,
     kind: str | None = None,
 ) -> dict[str, Any]:
-    """Shoot ``plan`` with ``model`` and none, one or two hidden effects; write the campaign, the commitment, and the truth elsewhere.
+    """Shoot ``plan`` with none, one or two effects hidden in ``model``; write campaign and commitment, and the truth elsewhere.
 
     Parameters
     ----------

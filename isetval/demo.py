@@ -131,7 +131,8 @@ def _shoot(camera: CameraModel, plan: Campaign, seed: int, folder: Path) -> Camp
 
     shot = isetval.simulate(camera, plan, seed, draw=True, sensor_seed=SPECIMEN + seed)
     write_campaign(replace(shot, provenance={}), folder / "captures", remarks=["Shot by `isetval demo` with a hidden effect."])
-    return isetval.load_campaign(folder / "captures")
+    captured: Campaign = isetval.load_campaign(folder / "captures")
+    return captured
 
 
 def _loop(
@@ -161,7 +162,7 @@ def _add(nominal: CameraModel, diagnosis: Diagnosis, campaign: Campaign, folder:
     file = folder / "diagnosis.json"
     written = {"kind": "diagnose", "model": nominal.name, "model_sha256": nominal.digest(), "campaign": campaign.name}
     write_whole(file, json.dumps(plain(written | diagnosis.to_json()), indent=1) + "\n")
-    model = isetval.load_model(folder / "nominal.toml")
+    model: CameraModel = isetval.load_model(folder / "nominal.toml")
     if not diagnosis.effects:
         step(f"4  nothing is added: the verdict is {diagnosis.verdict}")
         return nominal

@@ -227,7 +227,7 @@ def edge_rows(capture: Capture) -> tuple[list[Metric], list[str]]:
         roi = tuple(edge)
         label = ",".join(map(str, roi))
         for channel in ("R", "G", "B") if capture.sensor.cfa != "MONO" else ("G",):
-            result = sfr(capture, roi, channel)  # type: ignore[arg-type]
+            result = sfr(capture, roi, channel)
             if not result.accepted:
                 notes.append(f"edge at {label}, channel {channel}: {', '.join(result.flags)}")
                 continue
@@ -303,17 +303,11 @@ def series_rows(captures: Sequence[Capture], role: str) -> tuple[list[Metric], l
 
 def frame_rows(frame: pd.DataFrame, family: str) -> Iterator[Metric]:
     """Rows of a table with plane, name, value, sigma, unit, flags."""
-    for row in frame.itertuples():
-        if np.isfinite(row.value):  # type: ignore[arg-type]
-            yield _row(
-                str(row.name),
-                float(row.value),  # type: ignore[arg-type]
-                float(row.sigma),  # type: ignore[arg-type]
-                str(row.unit),
-                channel=str(row.plane),
-                family=family,
-                reason=str(row.flags),
-            )
+    for row in frame.to_dict("records"):
+        value, sigma = float(row["value"]), float(row["sigma"])
+        if np.isfinite(value):
+            place = {"channel": str(row["plane"]), "family": family, "reason": str(row["flags"])}
+            yield _row(str(row["name"]), value, sigma, str(row["unit"]), **place)
 
 
 def falloff_rows(result: Any) -> Iterator[Metric]:
@@ -339,10 +333,13 @@ def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None) ->
     from isetval.dng import read_dng, read_raw
 
     def read(path: Path) -> Capture:
+        capture: Capture
         if raw is not None and path.suffix.lower() not in RAW_SUFFIXES:
-            return read_raw(path, **raw)
+            capture = read_raw(path, **raw)
+            return capture
         if path.is_dir():
             raise InputError(f"{path}: is a folder; name files")
-        return read_dng(os.fspath(path), black=black)  # type: ignore[arg-type]
+        capture = read_dng(os.fspath(path), black=black)
+        return capture
 
     return read

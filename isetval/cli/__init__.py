@@ -127,5 +127,5 @@ def _csv(outcome: Outcome) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, names, lineterminator="\n")
     writer.writeheader()
-    writer.writerows({k: v for k, v in plain(row).items()} for row in outcome.table)
+    writer.writerows(plain(list(outcome.table)))
     return text.getvalue()

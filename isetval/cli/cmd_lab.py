@@ -65,7 +65,7 @@ def demo(args: argparse.Namespace, console: Console) -> Outcome:
 
 
 def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
-    """Shoot a plan with none, one or two effects hidden in the model, and seal which: the folder holds only a SHA-256 of the truth."""
+    """Shoot a plan with none, one or two effects hidden in the model, and seal which: the folder holds a SHA-256 of the truth."""
     from isetval.challenge import make_challenge
     from isetval.core.errors import InputError
 
@@ -95,9 +95,8 @@ def challenge_reveal(args: argparse.Namespace, console: Console) -> Outcome:
     lines = ["the truth is the one that was sealed", f"hidden: {_hidden_words(found.truth)}"]
     if found.score:
         s = found.score
-        lines.append(
-            f"answer: verdict {s['verdict']}; first name {'right' if s['first_right'] else 'wrong'}, class {'right' if s['class_right'] else 'wrong'}"
-        )
+        first, whole = ("right" if s[key] else "wrong" for key in ("first_right", "class_right"))
+        lines.append(f"answer: verdict {s['verdict']}; first name {first}, class {whole}")
         lines.append(f"missed: {', '.join(s['missed']) or 'none'}; invented: {', '.join(s['invented']) or 'none'}")
         lines += [f"pull of {key}: {pull:+.2f} sigma" for key, pull in s["pulls"].items()]
     result = {"kind": "challenge reveal", "truth": found.truth, "score": found.score}

@@ -134,12 +134,13 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     models = [model, *(isetval.load_model(m) for m in args.models[1:])]
     inputs |= {m: sha256_of(m) for m in args.models if Path(m).is_file()}
     found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say)
-    result = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
+    result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
     faults = broken(limits, result["ladder"])
     lines = comparison_lines(result) + [f"outside limits: {fault}" for fault in faults]
     if limits:
         result["outside_limits"] = faults
-    return Outcome(result, lines, OUTSIDE_LIMITS if faults else FINE, inputs, result["table"])
+    code = OUTSIDE_LIMITS if faults else FINE
+    return Outcome(result, lines, code, inputs, result["table"])
 
 
 def _distinct(models: list[CameraModel], files: list[str]) -> list[CameraModel]:
@@ -176,7 +177,7 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
         holdout = isetval.load_campaign(args.holdout)
         inputs |= hashes(holdout)
     found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say)
-    result = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}
+    result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}
     result |= found.to_json()
     hint = {"model": args.model, "diagnosis": args.output or "d.json"}
     return Outcome(result, diagnosis_lines(result, hint), FINE, inputs, result["candidates"])

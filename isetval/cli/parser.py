@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from isetval.cli import cmd_lab, cmd_loop, cmd_measure, cmd_show
+from isetval.cli.cmd_lab import register as register_lab
+from isetval.cli.cmd_lab import register_demo
+from isetval.cli.cmd_loop import register as register_loop
+from isetval.cli.cmd_measure import register as register_measure
+from isetval.cli.cmd_show import register as register_show
 
 EPILOG = """\
 the loop:
@@ -43,6 +47,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"isetval {isetval.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     common = common_options()
-    for group in (cmd_lab.register_demo, cmd_measure.register, cmd_loop.register, cmd_lab.register, cmd_show.register):
+    for group in (register_demo, register_measure, register_loop, register_lab, register_show):
         group(commands, common)
     return parser

@@ -71,7 +71,7 @@ def _radius(row: Row) -> float | None:
 
 
 def residual_plot(family: str, by_model: Sequence[Sequence[Row]]) -> str:
-    """z = (measured - simulated) / sigma of a family over its condition, one layer for each model."""
+    """Residuals z = (measured - simulated) / sigma of a family over its condition, one layer for each model."""
     rows = [row for part in by_model for row in part if row["z"] is not None]
     label, kind, value = axis_of(rows)
     names = list(dict.fromkeys(str(value(r)) for r in rows)) if kind == "names" else []
@@ -100,7 +100,8 @@ def _short(name: str) -> str:
 
 
 def _points(area: svg.Frame, rows: Sequence[Row], place: Callable[[Row], Any], kind: str) -> str:
-    out, planes = [], {}
+    out: list[str] = []
+    planes: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
         at = place(row)
         if row["z"] is None or at is None or (kind == "log" and at <= 0):

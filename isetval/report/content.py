@@ -325,7 +325,7 @@ def _between(measured: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
     """Two measurements of the same things, row by row, largest difference first."""
     if len(measured) < 2:
         return []
-    keys = ("name", "channel", "shot", "region", "patch", "frequency_cy_px", "file")
+    keys: tuple[str, ...] = ("name", "channel", "shot", "region", "patch", "frequency_cy_px", "file")
     first, second = ({tuple(m.get(k) for k in keys): m for m in r["metrics"]} for r in measured[:2])
     if not first.keys() & second.keys():
         keys = keys[:-1]
