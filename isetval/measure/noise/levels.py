@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
 from isetval.measure.noise.curve import Points
 from isetval.measure.noise.decomposition import FixedPattern, decompose, fit_surface, robust_sd
-from isetval.measure.noise.moments import Moments, frame_moments, line_sums
+from isetval.measure.noise.moments import Moments, central, frame_moments, line_sums
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.quantized import fit_quantized, unrounded_variance
 from isetval.measure.noise.reference import DarkLevel
@@ -78,23 +78,25 @@ def measure_levels(flats: Sequence[Sequence[Capture]], plane: str, roi: Roi | No
     """Moments of every level; defective pixels (seen in the dark or in a middle level) are left out.
 
     The fixed pattern is taken from every level of a small region, but from the middle level only of a large
-    one, where a single level already reaches what the specimen's own pattern allows.
+    one (of its center if it is very large), where that already reaches what the specimen's own pattern allows.
     """
     tag = plane_black_dn(flats[0][0], plane)
     black = reference.black_dn if reference is not None else Quantity(tag, 0.0, "DN")
     middle = len(flats) // 2
-    views = [plane_view(c, plane, roi)[0] for c in flats[middle]]
+    whole = [plane_view(c, plane, roi)[0] for c in flats[middle]]
+    views = [central(view) for view in whole]
     moments = frame_moments(views, black.value)
     bad = _defects(moments, reference.defects if reference is not None else None)
     if bad is not None:
         moments = frame_moments(views, black.value, bad=bad)
-    small = views[0].size * len(flats) <= ALL_PATTERNS_PIXELS
+    small = whole[0].size * len(flats) <= ALL_PATTERNS_PIXELS
+    known = bad if views[0].shape == whole[0].shape else None
 
     def measure(i: int) -> Level:
         if i == middle:
-            return _level(flats[i], plane, roi, black.value, moments, bad)
+            return _level(flats[i], plane, roi, black.value, moments, known)
         if not small:
-            return _level(flats[i], plane, roi, black.value, None, bad)
+            return _level(flats[i], plane, roi, black.value, None, known)
         frames = [plane_view(c, plane, roi)[0] for c in flats[i]]
         return _level(flats[i], plane, roi, black.value, frame_moments(frames, black.value, bad=bad), bad)
 
@@ -110,7 +112,7 @@ def with_pattern(level: Level, plane: str, roi: Roi | None, black_dn: float) -> 
     """The level with its fixed pattern, measured now if it was not."""
     if level.fixed is not None:
         return level
-    views = [plane_view(c, plane, roi)[0] for c in level.captures]
+    views = [central(plane_view(c, plane, roi)[0]) for c in level.captures]
     return replace(level, fixed=_pattern(frame_moments(views, black_dn), level.row_temporal))
 
 

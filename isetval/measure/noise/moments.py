@@ -25,6 +25,9 @@ from isetval.measure.noise.quantity import Quantity
 Float = NDArray[np.float64]
 Values = NDArray[Any]
 BLOCK_PIXELS = 1 << 17
+LARGE_PIXELS = 320_000
+CENTER = 512
+WILD_SD = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,35 +186,61 @@ class LineSums:
 
 
 def line_sums(views: Sequence[Values], black_dn: float = 0.0, *, bad: NDArray[np.bool_] | None = None) -> LineSums:
-    """Row means and temporal variance of two or more frames, float32, in blocks that stay in the cache."""
+    """Row means and temporal variance of two or more frames, float32, in blocks that stay in the cache.
+
+    Besides the pixels of ``bad``, those whose frames differ by more than eight sd of their block are left out.
+    """
     frames, (rows, cols) = len(views), views[0].shape
     step = max(1, min(rows, BLOCK_PIXELS // max(cols, 1)))
-    row_means, square, spread = np.empty((frames, rows)), 0.0, []
+    row_means, spread = np.empty((frames, rows)), []
+    square, taken = 0.0, 0
     sparse = 1 if rows * cols <= BLOCK_PIXELS else step
-    ones, profile = np.ones(cols, np.float32), None
+    profile: Values | None = None
     buffer = np.empty((frames, step, cols), np.float32)
     for top in range(0, rows, step):
         part = slice(top, min(top + step, rows))
         block = buffer[:, : part.stop - top]
-        for f, view in enumerate(views):
-            block[f] = view[part]
-        row_means[:, part] = (block @ ones) / cols
-        if bad is not None and bad[part].any():
-            row_means[:, part] = _leave_out(block, bad[part])
+        out = None if bad is None or not bad[part].any() else bad[part]
+        row_means[:, part] = _load(block, views, part, out)
         spread.append(block[:, ::sparse].copy())
         if profile is None:
             profile = _column_profile(block, block.mean(axis=0) - np.float32(black_dn))
-            power = float(profile @ profile)
-        square += _square_sum(block, row_means[:, part], profile, power)
-    taken = 0 if bad is None else int(bad.sum())
+        found = _square_sum(block, row_means[:, part], profile)
+        wild = _wild(block, found)
+        if wild is not None:
+            out = wild if out is None else wild | out
+            row_means[:, part] = _load(block, views, part, out)
+            found = _square_sum(block, row_means[:, part], profile)
+        square += found
+        taken += 0 if out is None else int(out.sum())
     dof = (frames - 1) * (rows * (cols - 1) - taken)
     sample = np.concatenate(spread, axis=1).mean(axis=0)
     row_means -= black_dn
     return LineSums(row_means, square / dof, float(np.var(sample, dtype=np.float64)), rows * cols - taken, cols)
 
 
-def _square_sum(block: Values, row_means: Float, profile: Values, power: float) -> float:
-    """Sum of squared residuals of the module's model; ``block`` is overwritten."""
+def _wild(block: Values, square: float) -> NDArray[np.bool_] | None:
+    """Pixels whose residual in any frame is beyond eight sd of the block; None where there are none."""
+    frames = block.shape[0]
+    rest = block[:1] if frames == 2 else block
+    variance = square / ((frames - 1) * block[0].size) * (2.0 if frames == 2 else 1.0)
+    limit = WILD_SD * float(np.sqrt(max(variance, 1 / 12)))
+    if max(float(rest.max()), -float(rest.min())) <= limit:
+        return None
+    return np.asarray(np.any(np.abs(rest) > limit, axis=0))
+
+
+def _load(block: Values, views: Sequence[Values], part: slice, out: NDArray[np.bool_] | None) -> Float:
+    """Fill ``block`` from the views without the pixels ``out``; row means (frames, rows), black included."""
+    for f, view in enumerate(views):
+        block[f] = view[part]
+    if out is not None:
+        return _leave_out(block, out)
+    return np.asarray((block @ np.ones(block.shape[2], np.float32)) / block.shape[2], dtype=np.float64)
+
+
+def _square_sum(block: Values, row_means: Float, profile: Values) -> float:
+    """Sum of squared residuals of the module's model; ``block`` is overwritten (for two frames ``block[0]`` is x1 - x2)."""
     frames = block.shape[0]
     drift = row_means - row_means.mean(axis=0)
     if frames == 2:
@@ -225,7 +254,17 @@ def _square_sum(block: Values, row_means: Float, profile: Values, power: float) 
     flat = block.reshape(-1)
     total = float(flat @ flat)
     along = (block @ profile).astype(np.float64)
+    power = float(profile @ profile)
     return factor * (total - 2 * float((drift * along).sum()) + power * float((drift**2).sum()))
+
+
+def central(view: Values) -> Values:
+    """The middle of a plane that is too large for maps of its pixels, else the plane itself."""
+    if view.size <= LARGE_PIXELS:
+        return view
+    rows, cols = view.shape
+    top, left = max(rows - CENTER, 0) // 2, max(cols - CENTER, 0) // 2
+    return view[top : top + CENTER, left : left + CENTER]
 
 
 def _leave_out(block: Values, bad: NDArray[np.bool_]) -> Float:

@@ -172,7 +172,7 @@ def photon_transfer(
 
 def _plane_transfer(groups: Groups, plane: str, roi: Roi | None, method: str, extra: Extra) -> PlaneTransfer:
     choices = extra[0]
-    reference = dark_level(groups.dark, plane, roi) if groups.dark else None
+    reference = dark_level(groups.dark, plane, roi, maps=False) if groups.dark else None
     series = measure_levels(groups.flats, plane, roi, reference)
     series, flags = cut_series(series, choices.get("cut_dn"))
     flags = (*groups.notes, *(reference.flags if reference else ()), *flags)
