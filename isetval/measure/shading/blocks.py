@@ -34,7 +34,8 @@ class Blocks:
 
     ``row_px`` and ``col_px`` are sensor pixels of the block's middle (half-pixel place of the plane in
     the mosaic included), ``spread_row_px2`` and ``spread_col_px2`` the variance of its pixels' positions,
-    ``grid`` the number of block rows and columns when the blocks fill one window, else None.
+    ``lines_px`` the mean rows and columns
+    of plane pixels in a block, ``grid`` the number of block rows and columns when the blocks fill one window, else None.
     """
 
     plane: str
@@ -49,6 +50,7 @@ class Blocks:
     bad_pixels: int
     row_noise_dn: float
     column_noise_dn: float
+    lines_px: tuple[float, float]
     grid: tuple[int, int] | None
 
 
@@ -146,7 +148,7 @@ def _line_variance(means: Float, pixel_variance: float, pixels: int, *, robust: 
         # second differences of white noise: relative variance of their mean square is 3.89 / number
         total, spread = (float(np.mean(clean**2)) / 6 if clean.size else 0.0), np.sqrt(3.89 / means.size)
     excess = total - pixel_variance / pixels
-    return excess if excess > 3 * total * spread else 0.0
+    return excess if excess > 2 * total * spread else 0.0
 
 
 def _slope(medians: Float, *, axis: int) -> Float:
@@ -249,6 +251,7 @@ def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, 
         bad_pixels=bad_pixels,
         row_noise_dn=float(np.sqrt(row_part)),
         column_noise_dn=float(np.sqrt(col_part)),
+        lines_px=(float(heights.mean()), float(widths.mean())),
         grid=(len(heights), len(widths)),
     )
 
@@ -298,6 +301,7 @@ def join_blocks(parts: Sequence[Blocks], factors: Sequence[float]) -> Blocks:
         bad_pixels=sum(p.bad_pixels for p in parts),
         row_noise_dn=max(p.row_noise_dn for p in parts),
         column_noise_dn=max(p.column_noise_dn for p in parts),
+        lines_px=parts[0].lines_px,
         grid=parts[0].grid if len(parts) == 1 else None,
         **joined,
     )

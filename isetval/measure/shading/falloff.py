@@ -14,6 +14,7 @@ from isetval.core.errors import InputError, MeasurementError
 from isetval.core.sensor import Sensor
 from isetval.measure.shading.assemble import build_result
 from isetval.measure.shading.blocks import Blocks
+from isetval.measure.shading.lines import LineNoise, with_line_noise
 from isetval.measure.shading.order import chi2_by_order, choose_polynomial, choose_spline, tilt_is_needed
 from isetval.measure.shading.radial import HIGHEST_ORDER, SPLINE_INTERVALS, Radial
 from isetval.measure.shading.results import RelativeIllumination
@@ -196,6 +197,10 @@ def fit_blocks(
         p: fit_surface([part], radial=shape, geometry=name, start=surface.geometry, steps=3)
         for p, part in zip(points, kept, strict=True)
     }
+    if any(b.grid is not None and max(b.row_noise_dn, b.column_noise_dn) > 0 for b in blocks.values()):
+        noise = [_line_noise(blocks[p], keep[p], scale[p]) for p in points]
+        final = with_line_noise(final, kept, noise)
+        single = {p: with_line_noise(single[p], [kept[k]], [noise[k]]) for k, p in enumerate(points)}
     return Fitted(blocks, points, keep, scale, final, common, single, by_order, name, radial, reach, shorter, notes)
 
 
@@ -229,6 +234,12 @@ def _without_needless_tilt(kept: Sequence[Points], surface: Surface, name: str, 
     if plain.converged and not tilt_is_needed(surface, plain, sum(p.value.size for p in kept)):
         return plain, "center"
     return surface, name
+
+
+def _line_noise(part: Blocks, keep: NDArray[np.bool_], scale: float) -> tuple[LineNoise, LineNoise]:
+    """Row and column noise of a plane's used blocks, relative to the plane's scale."""
+    sigmas = (part.row_noise_dn / np.sqrt(part.lines_px[0]), part.column_noise_dn / np.sqrt(part.lines_px[1]))
+    return LineNoise(part.row_px[keep], sigmas[0] / scale), LineNoise(part.col_px[keep], sigmas[1] / scale)
 
 
 def _inliers(points: Points, geometry: Float, coefficients: Float, radial: Radial, used: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -150,14 +150,18 @@ def test_wrong_center_is_seen_in_chi2_not_in_silence():
     assert result.warnings
 
 
-def test_row_noise_enters_the_block_sigma():
-    """0.5 DN of row noise on blocks of 4 plane rows: expected block variance is pixel / 16 + 0.25 / 4."""
-    flat = Flat(rows=756, cols=1008, pixel_um=5.6, prnu=0.0)
+def test_row_noise_enters_block_sigma_and_center():
+    """1 DN of row noise: blocks of a row err together; taken as independent, the centre's row scatters by 3 sigma."""
+    flat = Flat(center_px=(3.0, -2.0))
     rng = np.random.default_rng(71)
-    dn = flat.capture(rng).mosaic + 0.0
-    dn = np.rint(dn + 0.5 * rng.standard_normal((756, 1)))
-    result = relative_illumination(Capture.from_array(dn.astype(np.uint16), pixel_um=5.6))
-    assert 0.9 < result.chi2_dof < 1.1
+    squares, chi2 = [], []
+    for _ in range(16):
+        dn = np.rint(flat.capture(rng).mosaic + rng.standard_normal((flat.rows, 1)))
+        result = relative_illumination(Capture.from_array(dn.astype(np.uint16), pixel_um=flat.pixel_um))
+        squares.append(((np.array(result.decenter_px) - flat.center_px) / result.center_sigma_px) ** 2)
+        chi2.append(result.chi2_dof)
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.05)
+    assert abs(np.mean(squares) - 1) < 4 * np.sqrt(2 / 32)
 
 
 def test_several_frames_and_dark_frames():
