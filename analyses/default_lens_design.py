@@ -5,7 +5,13 @@
 # tracer, so that nothing outside the repository is needed?
 # Data: none; the start is five thin elements of the usual phone form (positive front with the stop,
 # negative flint, weak middle, strong positive, negative field flattener), two plastics.
-# Result: `data/lens/default_lens.toml`.  Run time: about 20 minutes on one core.
+# Result: `data/lens/default_lens.toml`, F/1.8 over 58 degrees, rms spot radii below 1.2 um at 550 nm.
+# Run time: about half an hour on one core.
+#
+# This search is a record of the method, not a recipe that repeats the last digits: the stored lens is the end of
+# several runs between which the merit was corrected (three pupil rings at first let the design cheat between them;
+# a run from scratch with the final merit got stuck in a worse minimum).  `--from` continues a stored design.  What is
+# reproducible is everything after the TOML: `default_lens.py` traces and fits it to the same file.
 #
 # Merit: transverse ray errors of nine fields and three wavelengths (times a weight), image height against
 # f tan w, chief ray angle, center and edge thicknesses.  Aperture and field grow in stages.
@@ -143,7 +149,7 @@ COLORS = (555.0, 470.0, 640.0)
 GROWING = [(5.0, 12.0 + 1.0 * i, (555.0,)) for i in range(16)]
 OPENING = [(5.0 - 0.25 * i, FIELD_DEG, COLORS) for i in range(13)]
 STAGES = [*GROWING, *OPENING]
-WIDENING = [(2.0, FIELD_DEG + i, COLORS) for i in range(8)]
+WIDENING = [(2.0, FIELD_DEG, COLORS), (2.0, 28.0, COLORS), (1.9, 28.0, COLORS), (1.8, 28.0, COLORS), (1.8, 29.0, COLORS)]
 WORST_SPOT_UM = 12.0
 GOOD_SPOT_UM = 2.5
 ROUNDS = 12
