@@ -1,0 +1,268 @@
+"""The simulator's checks, run and written to ``data/stored/simulator_checks.json`` with date and versions.
+
+    python tests/scenes/simulator_checks.py
+
+Every entry holds what was asked, what was found, the error of what was found where it has one, and the seconds.
+The checks are those of the slow tests (``python -m pytest -m slow tests/scenes``), as numbers instead of verdicts, and
+two measurements of speed.  Wavefront variants (LLVM, CUDA) are needed for the lens checks.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from scene_lenses import BACK_MM, focused_film_mm, pixel_4a, textbook_lens
+from test_lens_images import BANDS, CAMERA, CORNER, EDGE, MIDDLE, agreement, disk_irradiance, radius_mm, scene
+from test_radiosity import PIXELS, reference
+from test_radiosity import scene as closed_box
+from test_render import furnace
+
+from isetval.scenes import choose_variant, cornell_box, electrons_per_radiance, ray_space_irradiance, render, wall_camera
+from isetval.scenes import lens_view as view_of
+from isetval.scenes.box import PAPER_EDGES, Chart
+from isetval.scenes.mitsuba_backend import build_scene, film_plugin, load_mitsuba, path_integrator, sensor_plugin
+from isetval.scenes.placing import rectangle, translate
+
+STORED = Path(__file__).resolve().parents[2] / "data" / "stored" / "simulator_checks.json"
+Entry = dict[str, Any]
+
+
+def entry(check: str, target: float, found: float, *, sigma: float | None = None, **more: Any) -> Entry:
+    """One line of the result; ``found`` is an absolute error that must not exceed ``target``."""
+    return {"check": check, "target": target, "found": found, "sigma": sigma, "passed": bool(found <= target), **more}
+
+
+def check_furnace() -> list[Entry]:
+    camera = {**wall_camera(0.5), "rows": 24, "cols": 32, "pixel_um": 1.4 * 126}
+    out = []
+    for bounces in (0, 1, 5, 12):
+        found = render(
+            furnace(bounces), camera=camera, wavelength_nm=[500.0, 600.0], spp=1024, seed=3, variant="auto", cache=False
+        )
+        expected = sum(0.5**k for k in range(bounces + 1))
+        sigma = float(np.sqrt(found.variance.sum(dtype=float) / 2)) / found.radiance[0].size / expected
+        error = abs(found.radiance.mean(dtype=float) / expected - 1)
+        out.append(entry(f"furnace, {bounces} bounces: relative error", 1e-3, float(error), sigma=sigma, seed=3))
+    return out
+
+
+def check_radiosity() -> list[Entry]:
+    from test_radiosity import CAMERA as INSIDE
+
+    out = []
+    for bounces in (1, 2, 3, 6):
+        expected = reference(bounces)
+        lit = expected > 0
+        found, noise = [], []
+        for pixel in PIXELS:
+            made = render(
+                closed_box(bounces),
+                camera=INSIDE,
+                crop=(*pixel, 1, 1),
+                wavelength_nm=BANDS,
+                spp=40_000,
+                seed=12,
+                noise_target=1e-9,
+            )
+            found.append(made.radiance.mean(dtype=float))
+            noise.append(made.settings["tiles"][0]["noise"])
+        error = np.array(found)[lit] / expected[lit] - 1
+        more = {"rms": float(np.sqrt(np.mean(error**2))), "n": int(lit.sum()), "seed": 12}
+        sigma = float(np.max(np.array(noise)[lit]))
+        out.append(entry(f"closed box, {bounces} bounces: largest error", 0.01, float(np.abs(error).max()), sigma=sigma, **more))
+    return out
+
+
+def check_fixed_pupil() -> list[Entry]:
+    out = []
+    view = view_of(textbook_lens(0.1), film_mm=BACK_MM + 0.04, reach_mm=3.6)
+    for crop in (MIDDLE, EDGE, CORNER):
+        made = ray_space_irradiance(
+            scene([], 0), view, camera=CAMERA, crop=crop, wavelength_nm=BANDS, spp=100_000, seed=5, cache=False
+        )
+        r, z = radius_mm(crop), 4.44
+        cos4 = np.pi * np.sin(np.arctan(0.1 / z)) ** 2 * np.cos(np.arctan(r / z)) ** 4
+        found = made.irradiance.mean(dtype=float)
+        more = {"against_exact_disk": float(found / disk_irradiance(r, 0.1, z) - 1), "r_mm": float(r), "seed": 5}
+        out.append(entry("uniform field, fixed pupil: pi L cos^4 / (4 N^2)", 1e-3, float(abs(found / cos4 - 1)), **more))
+    return out
+
+
+def check_published_lens() -> list[Entry]:
+    out = []
+    lens = pixel_4a()
+    view = view_of(lens, film_mm=0.49234, reach_mm=3.6)
+    for crop in (MIDDLE, (1508, 2700, 8, 8), EDGE, CORNER):
+        made = ray_space_irradiance(
+            scene([], 0), view, camera=CAMERA, crop=crop, wavelength_nm=BANDS, spp=100_000, seed=6, cache=False
+        )
+        exact = float(lens.irradiance_factor(radius_mm(crop), 0, film_mm=0.49234))
+        error = abs(made.irradiance.mean(dtype=float) / exact - 1)
+        out.append(entry("Pixel 4a, Mitsuba sensor against traced E/L", 3e-3, float(error), r_mm=float(radius_mm(crop)), seed=6))
+    for film in (0.520, 0.49234):
+        for crop in ((1480, 2300, 64, 72), (1480, 3000, 64, 72), (400, 500, 64, 72)):
+            level, difference = agreement(lens, film, crop, 0.5)
+            where = {"film_mm": film, "crop": crop, "depth_m": 0.5, "seed": [1, 2]}
+            out.append(entry("Pixel 4a, image space against ray space: plane", 0.01, float(abs(level)), **where))
+            out.append(entry("Pixel 4a, image space against ray space: MTF", 0.02, float(difference), **where))
+    return out
+
+
+def check_textbook_lens() -> list[Entry]:
+    out = []
+    for focus, depth in ((0.5, 0.5), (0.5, 0.3), (0.3, 0.3), (0.3, 0.5)):
+        level, difference = agreement(textbook_lens(0.25), focused_film_mm(focus), (1480, 2300, 64, 64), depth, spp=8192)
+        where = {"focus_m": focus, "depth_m": depth, "seed": [1, 2]}
+        out.append(entry("textbook lens, image space against ray space: plane", 0.01, float(abs(level)), **where))
+        out.append(entry("textbook lens, image space against ray space: MTF", 0.02, float(difference), **where))
+    return out
+
+
+def check_variants() -> list[Entry]:
+    camera = {**wall_camera(0.4), "rows": 48, "cols": 64, "pixel_um": 1.4 * 63}
+    arguments: dict[str, Any] = {"camera": camera, "wavelength_nm": [500.0, 550.0, 600.0], "spp": 256, "cache": False}
+    crop = (12, 12, 24, 40)
+    slow = render(cornell_box(), crop=crop, variant="scalar_spectral", seed=1, **arguments)
+    fast = render(cornell_box(), crop=crop, variant="auto", seed=2, **arguments)
+    difference = (slow.radiance - fast.radiance).astype(float).mean(axis=(1, 2))
+    sigma = np.sqrt((slow.variance + fast.variance).astype(float).sum(axis=(1, 2))) / slow.radiance[0].size
+    z = float(np.abs(difference / sigma).max())
+    more = {"relative_sigma": float((sigma / slow.radiance.mean(axis=(1, 2))).max()), "seed": [1, 2]}
+    out = [entry("scalar against fast variant, means: largest |z| of 3 bands", 3.0, z, **more)]
+    view = view_of(textbook_lens(), film_mm=focused_film_mm(0.5), reach_mm=3.6)
+    card = scene([rectangle("card", translate(0.25, 0.0, 0), size_m=(0.3, 0.5), reflectance="light")])
+    lens: dict[str, Any] = {
+        "camera": CAMERA,
+        "crop": (1508, 2700, 4, 4),
+        "wavelength_nm": BANDS,
+        "cache": False,
+        "noise_target": 1e-9,
+    }
+    a = ray_space_irradiance(card, view, variant="scalar_spectral", spp=4096, seed=1, **lens)
+    b = ray_space_irradiance(card, view, variant="auto", spp=40_000, seed=2, **lens)
+    mean = [o.irradiance.mean(dtype=float) for o in (a, b)]
+    sd = float(np.hypot(*(o.settings["tiles"][0]["noise"] * m / 4 for o, m in zip((a, b), mean, strict=True))))
+    more = {"relative_sigma": sd / mean[1], "seed": [1, 2]}
+    return [*out, entry("scalar against fast lens sensor: |z|", 3.0, abs(mean[0] - mean[1]) / sd, **more)]
+
+
+def check_speed() -> list[Entry]:
+    """CPU seconds of the lens sensor over those of the built-in thin lens: same film, paths and scene, interleaved."""
+    import drjit
+
+    from isetval.scenes import ray_sensor
+
+    choice = choose_variant("auto")
+    mi = load_mitsuba(choice.variant, choice.library)
+    ray_sensor.register(mi, drjit)
+    view = view_of(pixel_4a(), film_mm=0.5, reach_mm=3.6)
+    camera = {**wall_camera(0.4), "aperture_radius_mm": 0.64, "focus_m": 0.5}
+    film = film_plugin(camera, (1400, 1900, 200, 256), [450.0, 550.0, 650.0])
+    lens = ray_sensor.sensor_plugin(mi, ray_sensor.lens_tables(view, reach_mm=3.6), camera, film)
+    scenes = {
+        "lens": build_scene(mi, cornell_box(), lens, path_integrator(6)),
+        "thin lens": build_scene(mi, cornell_box(), sensor_plugin(mi, camera, film), path_integrator(6)),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in scenes}
+    for i in range(9):
+        for name, built in scenes.items():
+            start = time.process_time()
+            np.array(mi.render(built, spp=64, seed=i))
+            seconds[name].append(time.process_time() - start)
+    ratio = float(np.median(np.array(seconds["lens"][1:]) / np.array(seconds["thin lens"][1:])))
+    rate = 200 * 256 * 64 / float(np.median(seconds["lens"][1:]))
+    more = {"paths_per_cpu_second": rate, "variant": choice.variant}
+    return [entry("time of the lens sensor over that of the thin lens", 1.1, ratio, **more)]
+
+
+def check_budget() -> list[Entry]:
+    """Minutes on two cores for the regions of the paper's figures with the render's variance at 1 % of the shot noise's.
+
+    Every metric is an average of pixels, so 1 % of the variance in the pixels is 1 % or less of that of the metric.
+    """
+    view = view_of(pixel_4a(), film_mm=0.5, reach_mm=3.6)
+    bands = np.linspace(400.0, 700.0, 7)
+    green = 0.6 * np.exp(-0.5 * ((bands - 532) / 42) ** 2)
+    solid = float(view.lens.irradiance_factor(0.0, 0.0, film_mm=0.5)) * 3.54
+    per_radiance = electrons_per_radiance(bands, green, time_s=1.0, pixel_um=1.4, solid_angle_sr=1.0)
+    box = cornell_box(charts=(Chart((0.03, 0.02)),))
+    edges = cornell_box(charts=(), blocks=(), edges=PAPER_EDGES, light_place_m=(0.0, 0.09))
+    regions = [  # name, scene, crop to measure, electrons in white, pixels needed
+        ("chart, 8 positions x 24 patches of 36 x 36", box, (1400, 2150, 16, 64), 3000.0, 8 * 24 * 36 * 36),
+        ("edges, 4 of 80 x 120", edges, (1470, 2300, 64, 16), 3000.0, 4 * 80 * 120),
+        ("grey rows, 3 of 40 x 420", box, (1470, 2150, 16, 64), 3000.0, 3 * 40 * 420),
+        ("uniform patches, 500 of 10 x 10", box, (1300, 1300, 16, 64), 3000.0, 500 * 100),
+    ]
+    out, minutes = [], 0.0
+    speed = next(e for e in check_speed() if "paths_per_cpu_second" in e)["paths_per_cpu_second"]
+    for name, spec, crop, electrons, pixels in regions:
+        made = ray_space_irradiance(
+            spec, view, camera=wall_camera(0.4), crop=crop, wavelength_nm=bands, spp=512, seed=8, light_factor=3.54, cache=False
+        )
+        level = np.tensordot(per_radiance, made.irradiance, 1)
+        samples = made.settings["tiles"][0]["spp"]
+        other = ray_space_irradiance(
+            spec, view, camera=wall_camera(0.4), crop=crop, wavelength_nm=bands, spp=512, seed=9, light_factor=3.54, cache=False
+        )
+        difference = level - np.tensordot(per_radiance, other.irradiance, 1)
+        relative = float(np.sqrt(0.5 * np.mean(difference**2) * samples) / level.mean())
+        spp = 100 * electrons * relative**2
+        took = pixels * spp / speed / 2 / 60
+        minutes += took
+        out.append({"region": name, "relative_sd_1spp": relative, "spp": spp, "pixels": pixels, "minutes": took})
+    found = entry("minutes for the paper's regions, 3000 electrons, two unloaded cores", 60.0, minutes, regions=out)
+    return [found | {"electrons": 3000.0, "solid_angle_sr": solid}]
+
+
+CHECKS: tuple[Callable[[], list[Entry]], ...] = (
+    check_furnace,
+    check_radiosity,
+    check_fixed_pupil,
+    check_published_lens,
+    check_textbook_lens,
+    check_variants,
+    check_speed,
+    check_budget,
+)
+
+
+def main(path: Path = STORED) -> int:
+    """Run all checks, print a line each, store them; 1 if one is missed."""
+    choice = choose_variant("auto")
+    versions = {name: __import__("importlib.metadata").metadata.version(name) for name in ("mitsuba", "drjit", "numpy")}
+    result: dict[str, Any] = {
+        "command": "python tests/scenes/simulator_checks.py",
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "versions": {
+            **versions,
+            "python": platform.python_version(),
+            "variant": choice.variant,
+            "library": Path(choice.library).name,
+        },
+        "checks": [],
+    }
+    for check in CHECKS:
+        start = time.perf_counter()
+        for line in check():
+            line["seconds_of_group"] = round(time.perf_counter() - start, 1)
+            result["checks"].append(line)
+            sigma = f" +- {line['sigma']:.2g}" if line["sigma"] else ""
+            verdict = "ok    " if line["passed"] else "MISSED"
+            print(f"{verdict} {line['check']}: {line['found']:.4g}{sigma}, at most {line['target']:g}", flush=True)
+    path.write_text(json.dumps(result, indent=1) + "\n")
+    return 0 if all(line["passed"] for line in result["checks"]) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
