@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
-SIGMA_FACTOR = 0.98
+SIGMA_FACTOR = 0.975
 # chi2 that a model must gain over the line; the third power only where the second plainly fails
-PENALTY = {"line": 0.0, "quadratic": 1.5, "cubic": 12.0, "straight": 0.0, "straight2": 1.5}
+PENALTY = {"line": 0.0, "quadratic": 2.0, "cubic": 12.0, "straight": 0.0, "straight2": 2.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ def fit_curve(
         return mean, SIGMA_FACTOR * math.sqrt(spread) if len(fits) > 1 else math.sqrt(spread)
 
     # averaging covers a little too much where there is no bend and a little too little where it is half seen; with this
-    # factor 68 % intervals hold 66 to 72 % for quadratic terms of 0 to 2 sigma (linear model, 6000 draws each)
+    # factor 68 % intervals hold 65 to 72 % for quadratic terms of 0 to 2 sigma (linear model, 6000 draws each)
     (intercept, intercept_sigma), (gain, gain_sigma), (quadratic, quadratic_sigma) = average(0), average(1), average(2)
     top = fits[max(share, key=lambda n: share[n])]
     return CurveFit(gain, gain_sigma, intercept, intercept_sigma, quadratic, quadratic_sigma, top.chi2, top.dof, share, fits)

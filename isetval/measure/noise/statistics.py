@@ -141,7 +141,9 @@ def _plane_statistics(
     noise = temporal.value if frames > 1 else _single_frame_variance(moments)
     mean_variance = noise / (pixels * frames) + max(row_temporal.value if frames > 1 else 0.0, 0.0) / (rows * frames)
     fixed = decompose(moments, degree, relative=relative, row_temporal=row_temporal.value if frames > 1 else 0.0)
-    mean = Quantity(moments.mean, math.sqrt(mean_variance), "DN", math.sqrt(max(fixed.total.value, 0.0) / pixels))
+    # outlying pixels (hot, dead) are counted on their own and must not lift the mean
+    level = float(fixed.surface.mean(dtype=np.float64)) if fixed.outliers else moments.mean
+    mean = Quantity(level, math.sqrt(mean_variance), "DN", math.sqrt(max(fixed.total.value, 0.0) / pixels))
     gradient_row, gradient_column = _gradients(moments, noise / frames)
     quantities = {
         "mean_dn": mean,
