@@ -97,7 +97,13 @@ def measure_edge(samples: Samples, look: FirstLook, *, floor: float, choices: Ma
         geometry = Geometry(geometry.line, (*geometry.gain[:3], across[0], across[1]), half)
     whole, geometry, shifts, row_chi2 = _polished(task, geometry, whole, sides)
     fit = whole.fit
-    made = {"order": geometry.line.order, "width_index": smooth.width_index(fit.width_px), "even": fit.even, "odd": fit.odd}
+    made = {
+        "order": geometry.line.order,
+        "width_index": smooth.width_index(fit.width_px),
+        "even": fit.even,
+        "odd": fit.odd,
+        "light": fit.light,
+    }
     information = max(float(shifts.weight.sum()), 1e-300)
     roughness = float(np.sqrt(max((row_chi2 - 1) * len(samples.y_px) / information, 0.0)))
     edge_sigma = float(1 / np.sqrt(information))
@@ -211,8 +217,10 @@ def _whole(task: _Task, geometry: Geometry, width: float, rough: EsfFit) -> _Who
     variance = noise.at(level) + binned.number * _common_error(noise, task.floor, rough.step, full=True)
     place = binned.distance * (width / geometry.half_px)
     light = rough.dark + rough.step * level
+    # illumination across the edge that was already divided out must not be held against the rest
+    lights = smooth.LIGHTS[:1] if any(geometry.gain[3:]) else smooth.LIGHTS
     shading = np.column_stack([light * place, light * place**2])
-    fit = fit_esf(binned, variance, shading=shading, scale=rough.step, choices=task.chosen, full=True)
+    fit = fit_esf(binned, variance, shading=shading, scale=rough.step, choices=task.chosen, lights=lights, full=True)
     return _Whole(fit, noise, binned, distance)
 
 

@@ -19,7 +19,8 @@ Complex = NDArray[np.complex128]
 
 EVEN_GRID = (0.0005, 0.002, 0.008, 0.03, 0.12, 0.5)
 ODD_GRID = (0.0, 0.002, 0.008, 0.03, 0.12)
-MOVING = (0.004, 0.002)
+LIGHTS = (1.0, 0.1, 0.01, 0.001)
+MOVING = (0.004, 0.002, 1.0)
 FREE = 4
 FREQUENCY_STEP = 0.005
 FREQUENCIES = 401
@@ -116,6 +117,7 @@ class EsfFit:
     width_px: float
     even: float
     odd: float
+    light: float
     chi2: float
     cells: int
     evidence: float
@@ -165,6 +167,7 @@ def fit_esf(
     shading: Float | None,
     scale: float,
     choices: Mapping[str, Any] | None = None,
+    lights: tuple[float, ...] = LIGHTS,
     full: bool = True,
 ) -> EsfFit:
     """Fit the ESF to binned samples.
@@ -179,7 +182,9 @@ def fit_esf(
     scale : float
         Approximate step, DN: the modes' unit.
     choices : mapping or None
-        ``even`` and ``odd`` amplitudes to use instead of choosing them.
+        ``even``, ``odd`` and ``light`` amplitudes to use instead of choosing them.
+    lights : tuple of float
+        Scales of the prior of the shading across the edge to choose from.
     full : bool
         Search the amplitudes; otherwise a middle one.
     """
@@ -197,7 +202,7 @@ def fit_esf(
     data = binned.mean * (root / scale)
     gram = weighted.T @ weighted
     solve = _Solver(gram, weighted.T @ data, float(data @ data))
-    best, tried = _strongest(solve, choices, full=full)
+    best, tried = _strongest(solve, choices, lights=lights, full=full)
     evidence, lower, half, mode_root = tried[best]
     coefficients = mode_root * solve_lower(lower, half, transposed=True)
     residual = data - weighted @ coefficients
@@ -214,36 +219,42 @@ def fit_esf(
         width_px=binned.width_px,
         even=best[0],
         odd=best[1],
+        light=best[2],
         chi2=float(residual @ residual),
         cells=len(cell),
         evidence=evidence,
     )
 
 
-Key = tuple[float, float]
+Key = tuple[float, float, float]
 Trial = tuple[float, Float, Float, Float]
 
 
-def _strongest(solve: _Solver, choices: Mapping[str, Any] | None, *, full: bool) -> tuple[Key, dict[Key, Trial]]:
+def _strongest(
+    solve: _Solver, choices: Mapping[str, Any] | None, *, lights: tuple[float, ...], full: bool
+) -> tuple[Key, dict[Key, Trial]]:
     """Amplitudes of largest marginal likelihood: uphill along the even ones, then along the odd ones."""
     prior = shape_prior()
     tried: dict[Key, Trial] = {}
 
-    def score(even: float, odd: float) -> float:
-        if (even, odd) not in tried:
-            tried[even, odd] = solve(prior.variance(even, odd))
-        return tried[even, odd][0]
+    def score(even: float, odd: float, light: float) -> float:
+        key = (even, odd, light)
+        if key not in tried:
+            tried[key] = solve(prior.variance(even, odd), light)
+        return tried[key][0]
 
     if choices is not None and "even" in choices:
-        key = (float(choices["even"]), float(choices["odd"]))
+        key = (float(choices["even"]), float(choices["odd"]), float(choices["light"]))
         score(*key)
         return key, tried
     if not full:
         score(*MOVING)
         return MOVING, tried
-    even = _climb(EVEN_GRID, 1, lambda value: score(value, ODD_GRID[1]))
-    odd = _climb(ODD_GRID, 1, lambda value: score(even, value))
-    return (even, odd), tried
+    light = _climb(lights, 0, lambda value: score(EVEN_GRID[1], ODD_GRID[1], value))
+    even = _climb(EVEN_GRID, 1, lambda value: score(value, ODD_GRID[1], light))
+    odd = _climb(ODD_GRID, 1, lambda value: score(even, value, light))
+    light = _climb(lights, lights.index(light), lambda value: score(even, odd, value))
+    return (even, odd, light), tried
 
 
 def _climb(grid: tuple[float, ...], start: int, score: Callable[[float], float]) -> float:
@@ -272,8 +283,9 @@ class _Solver:
     def __init__(self, gram: Float, moment: Float, total: float) -> None:
         self.gram, self.moment, self.total = gram, moment, total
 
-    def __call__(self, variance: Float) -> Trial:
+    def __call__(self, variance: Float, light: float) -> Trial:
         root = np.sqrt(np.concatenate([FREE_VARIANCE, variance]))
+        root[2:4] *= light
         matrix = self.gram * root
         matrix *= root[:, None]
         matrix.ravel()[:: len(root) + 1] += 1.0
