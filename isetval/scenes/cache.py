@@ -84,6 +84,7 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bool:
 def load_arrays(path: Path) -> Arrays | None:
     """The arrays of a ``.npz`` file; None if it is absent or damaged."""
     try:
+        os.utime(path)  # used now, for prune
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):

@@ -67,7 +67,7 @@ def image_space_irradiance(
     """
     if not light_factor > 0:
         raise InputError(f"light_factor is {light_factor}; it needs a positive number (1 changes nothing)")
-    fine = _FineGrid(render, view, camera, subsample, halo_px)
+    fine = _FineGrid(render, view, camera=camera, subsample=subsample, halo_px=halo_px)
     out = np.empty((len(render.wavelength_nm), *crop[2:]), np.float32)
     variance = np.empty_like(out)
     for row0 in range(crop[0], crop[0] + crop[2], BLOCK_PX):
@@ -91,7 +91,7 @@ def image_space_irradiance(
 class _FineGrid:
     """The render seen on the sensor's grid, ``subsample`` times finer, one block at a time."""
 
-    def __init__(self, render: Render, view: LensView, camera: Mapping[str, Any], subsample: int, halo_px: int) -> None:
+    def __init__(self, render: Render, view: LensView, *, camera: Mapping[str, Any], subsample: int, halo_px: int) -> None:
         self.view, self.camera, self.s, self.halo = view, camera, int(subsample), int(halo_px)
         self.pitch = camera["pixel_um"] * 1e-3 / self.s
         self.pinhole = render.settings["camera"]
@@ -138,7 +138,7 @@ class _FineGrid:
 
         depth = np.full(x.shape, np.median(self.depth[np.isfinite(self.depth)]) if np.isfinite(self.depth).any() else 1e3)
         for _ in range(3):
-            row, col = pinhole_position(self.view, self.pinhole, x, y, depth)
+            row, col = pinhole_position(self.view, self.pinhole, x_mm=x, y_mm=y, depth_m=depth)
             at = np.stack([row - self.origin[0] - 0.5, col - self.origin[1] - 0.5])
             self._check_cover(at)
             near = np.clip(np.rint(at).astype(int), 0, np.array(self.depth.shape)[:, None, None] - 1)

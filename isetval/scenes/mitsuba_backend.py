@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
 from isetval.scenes import ray_sensor
+from isetval.scenes.lens_grid import LensTables
 from isetval.scenes.spectra import band_feet_nm
 
 Float = NDArray[np.float64]
@@ -126,7 +127,7 @@ def shape_plugin(mi: Any, shape: Mapping[str, Any], spectra: Mapping[str, Any]) 
     return plugin
 
 
-def build_scene(mi: Any, spec: Mapping[str, Any], sensor: dict[str, Any] | Any, integrator: dict[str, Any]) -> Any:
+def build_scene(mi: Any, spec: Mapping[str, Any], *, sensor: dict[str, Any], integrator: dict[str, Any]) -> Any:
     """A loaded Mitsuba scene from a plain dictionary, a sensor and an integrator."""
     spectra = spec["spectra"]
     scene: dict[str, Any] = {"type": "scene", "integrator": integrator, "sensor": sensor}
@@ -170,7 +171,7 @@ class Tile:
         wavelength_nm: Sequence[float],
         variant: str,
         library: str = "",
-        lens: ray_sensor.LensTables | None = None,
+        lens: LensTables | None = None,
     ) -> None:
         self._mi = load_mitsuba(variant, library)
         self._spec, self._camera, self._crop = spec, camera, crop
@@ -182,7 +183,7 @@ class Tile:
 
             ray_sensor.register(self._mi, drjit)
             sensor = ray_sensor.sensor_plugin(self._mi, lens, camera, film)
-        self._scene = build_scene(self._mi, spec, sensor, path_integrator(spec["bounces"]))
+        self._scene = build_scene(self._mi, spec, sensor=sensor, integrator=path_integrator(spec["bounces"]))
 
     def radiance(self, seed: int, spp: int) -> Float:
         """Mean spectral radiance of one pass, (bands, rows, cols), W/(sr m2 nm); irradiance through a lens."""
@@ -195,7 +196,7 @@ class Tile:
         camera = {**self._camera, "aperture_radius_mm": 0.0}
         sensor = sensor_plugin(mi, camera, film_plugin(camera, self._crop, None))
         integrator = {"type": "aov", "aovs": "p:position,d:depth", "block_size": BLOCK_PX}
-        scene = build_scene(mi, self._spec, sensor, integrator)
+        scene = build_scene(mi, self._spec, sensor=sensor, integrator=integrator)
         image = np.array(mi.render(scene, seed=seed, spp=1), dtype=np.float64)[..., -4:]
         eye = np.asarray(camera["position_m"], float)
         axis = np.asarray(camera["look_at_m"], float) - eye

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from isetval.scenes.lens_grid import lens_tables
 from isetval.scenes.passes import Crop, Irradiance, NoiseTarget, Progress
-from isetval.scenes.ray_sensor import lens_tables
 from isetval.scenes.rendering import Job, check_camera, check_crop
 from isetval.scenes.variants import choose_variant
 from isetval.scenes.views import LensView
@@ -65,7 +65,18 @@ def ray_space_irradiance(
     crop = check_crop(crop, camera)
     reach = math.hypot(camera["rows"], camera["cols"]) / 2 * camera["pixel_um"] * 1e-3
     tables = lens_tables(view, reach_mm=1.001 * reach, light_factor=light_factor)
-    job = Job(spec, camera, wavelength_nm, spp, seed, noise_target, choose_variant(variant), cache, progress, tables)
+    job = Job(
+        spec,
+        camera,
+        wavelength_nm=wavelength_nm,
+        spp=spp,
+        seed=seed,
+        target=noise_target,
+        choice=choose_variant(variant),
+        keep=cache,
+        progress=progress,
+        lens=tables,
+    )
     mean, variance, _, settings = job.run(crop)
     lens = {
         "path": "ray space",

@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
 from isetval.scenes import cache as store
+from isetval.scenes.lens_grid import LensTables
 from isetval.scenes.passes import Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
-from isetval.scenes.ray_sensor import LensTables
 from isetval.scenes.spectra import band_feet_nm
 from isetval.scenes.variants import VariantChoice, choose_variant, mitsuba_version
 
 TILE_PX = 256
+CACHE_BYTES = 4_000_000_000
 PATHS_PER_PASS = 4_000_000
 CAMERA_KEYS = ("position_m", "look_at_m", "up", "focal_mm", "pixel_um", "rows", "cols")
 
@@ -76,7 +77,17 @@ def render(
         For a variant that does not work here.
     """
     choice = choose_variant(variant)
-    job = Job(spec, camera, wavelength_nm, spp, seed, noise_target, choice, cache, progress)
+    job = Job(
+        spec,
+        camera,
+        wavelength_nm=wavelength_nm,
+        spp=spp,
+        seed=seed,
+        target=noise_target,
+        choice=choice,
+        keep=cache,
+        progress=progress,
+    )
     radiance, variance, depth, settings = job.run(crop)
     assert depth is not None
     return Render(radiance, variance, depth, job.bands, settings["crop"], settings)
@@ -89,6 +100,7 @@ class Job:
         self,
         spec: Mapping[str, Any],
         camera: Mapping[str, Any],
+        *,
         wavelength_nm: ArrayLike,
         spp: int,
         seed: int,
@@ -124,6 +136,8 @@ class Job:
             if depth is not None:
                 depth[rows, cols] = tile_depth
             reports.append(report)
+        if self.keep:
+            store.prune(store.cache_folder() / "renders", max_bytes=CACHE_BYTES)
         done = {"crop": crop, "tiles": reports, "seconds": time.perf_counter() - begun}
         return mean, variance, depth, self.settings() | done
 

@@ -276,7 +276,7 @@ def pupil_crop(
     row, col = np.meshgrid(edge_row, edge_col, indexing="ij")
     pitch = camera["pixel_um"] * 1e-3
     x, y = (col - camera["cols"] / 2) * pitch, (row - camera["rows"] / 2) * pitch
-    spots = [pinhole_position(view, pinhole, x, y, np.array(depth)) for depth in (0.05, math.inf)]
+    spots = [pinhole_position(view, pinhole, x_mm=x, y_mm=y, depth_m=np.array(depth)) for depth in (0.05, math.inf)]
     found = np.stack([np.stack(s) for s in spots])
     margin = 4
     low = np.maximum(np.floor(found.min(axis=(0, 2, 3))).astype(int) - margin, 0)
@@ -284,7 +284,9 @@ def pupil_crop(
     return (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
 
 
-def pinhole_position(view: LensView, pinhole: Mapping[str, Any], x_mm: Float, y_mm: Float, depth_m: Float) -> tuple[Float, Float]:
+def pinhole_position(
+    view: LensView, pinhole: Mapping[str, Any], *, x_mm: Float, y_mm: Float, depth_m: Float
+) -> tuple[Float, Float]:
     """Continuous (row, col) on the pinhole camera's grid of what film points image at a depth; (0, 0) is a corner."""
     r = np.hypot(x_mm, y_mm)
     stretch = view.scene_tangent(r, depth_m) * pinhole["focal_mm"] / (pinhole["pixel_um"] * 1e-3)

@@ -31,6 +31,7 @@ from test_render import furnace
 from isetval.scenes import choose_variant, cornell_box, electrons_per_radiance, ray_space_irradiance, render, wall_camera
 from isetval.scenes import lens_view as view_of
 from isetval.scenes.box import PAPER_EDGES, Chart
+from isetval.scenes.lens_grid import lens_tables
 from isetval.scenes.mitsuba_backend import build_scene, film_plugin, load_mitsuba, path_integrator, sensor_plugin
 from isetval.scenes.placing import rectangle, translate
 
@@ -169,10 +170,10 @@ def check_speed() -> list[Entry]:
     view = view_of(pixel_4a(), film_mm=0.5, reach_mm=3.6)
     camera = {**wall_camera(0.4), "aperture_radius_mm": 0.64, "focus_m": 0.5}
     film = film_plugin(camera, (1400, 1900, 200, 256), [450.0, 550.0, 650.0])
-    lens = ray_sensor.sensor_plugin(mi, ray_sensor.lens_tables(view, reach_mm=3.6), camera, film)
+    lens = ray_sensor.sensor_plugin(mi, lens_tables(view, reach_mm=3.6), camera, film)
     scenes = {
-        "lens": build_scene(mi, cornell_box(), lens, path_integrator(6)),
-        "thin lens": build_scene(mi, cornell_box(), sensor_plugin(mi, camera, film), path_integrator(6)),
+        "lens": build_scene(mi, cornell_box(), sensor=lens, integrator=path_integrator(6)),
+        "thin lens": build_scene(mi, cornell_box(), sensor=sensor_plugin(mi, camera, film), integrator=path_integrator(6)),
     }
     seconds: dict[str, list[float]] = {name: [] for name in scenes}
     for i in range(9):
