@@ -90,7 +90,7 @@ def sfr(
     except np.linalg.LinAlgError:
         message = "no single edge explains the region; choose a region with one edge"
         return refused(capture, box, channel=channel, flags={"two_edges": message})
-    return _report(capture, box, channel, samples, look, estimate)
+    return _report(capture, box, channel, samples=samples, look=look, estimate=estimate)
 
 
 def sfr_batch(
@@ -143,6 +143,7 @@ def refused(capture: Capture, roi: Roi, *, channel: str, flags: Mapping[str, str
         edge_col_px=NAN,
         edge_sigma_px=NAN,
         sagitta_px=NAN,
+        curvature_per_px=NAN,
         polynomial=empty,
         roughness_px=NAN,
         dark_dn=NAN,
@@ -170,66 +171,84 @@ def _settings(capture: Capture, method: str) -> dict[str, Any]:
     }
 
 
-def _report(capture: Capture, roi: Roi, channel: str, samples: Samples, look: FirstLook, estimate: Estimate) -> SfrResult:
+def _report(capture: Capture, roi: Roi, channel: str, *, samples: Samples, look: FirstLook, estimate: Estimate) -> SfrResult:
     fit, line = estimate.fit, estimate.geometry.line
-    x, slope, bend = line.position(np.array([line.y_center_px]))
-    angle = float(np.degrees(np.arctan(slope[0])))
-    normal = normal_direction(float(slope[0]), line.sign, transposed=samples.transposed)
-    over = abs(angle) > 45
-    if over:
-        angle = float(np.copysign(90 - abs(angle), angle))
-    verdict = judge(
-        samples, look, estimate, channel=channel, angle_deg=angle, length_px=2 * line.y_half_px * np.hypot(1, slope[0])
-    )
+    slope = line.middle()[1]
+    angle = folded_angle(float(np.degrees(np.arctan(slope))))
+    length = 2 * line.y_half_px * float(np.hypot(1, slope))
+    verdict = judge(samples, look, estimate, channel=channel, angle_deg=angle, length_px=length)
+    inflation = _inflation(estimate, angle)
     frequency = spectrum.default_frequency()
     curve = spectrum.mtf_of(fit, frequency)
-    inflation = _inflation(estimate, angle)
-    peak = float(curve.max())
-    found = spectrum.crossings(fit, frequency, curve, np.array([0.5, 0.3, 0.1, 0.5 * peak]))
-    refuse = bool(verdict.flags)
-    value = [NAN if refuse else c.value for c in found]
-    sigma = [NAN if refuse else c.sigma * inflation for c in found]
-    row, col = (float(x[0]), line.y_center_px) if samples.transposed else (line.y_center_px, float(x[0]))
-    dark_sigma, bright_sigma = level_sigma(fit)
+    numbers = _numbers(fit, frequency, curve=curve, inflation=inflation)
+    warnings = dict(verdict.warnings)
+    if not verdict.flags and np.isnan(numbers["mtf50_cy_px"]):
+        warnings["mtf50_not_reached"] = f"the SFR stays above one half up to {frequency[-1]:g} cy/px"
+    if verdict.flags:
+        curve, numbers = np.full(len(curve), NAN), dict.fromkeys(numbers, NAN)
     return SfrResult(
         frequency_cy_px=frequency,
-        mtf=np.full(len(curve), NAN) if refuse else curve,
-        mtf50_cy_px=value[0],
-        mtf50_sigma=sigma[0],
-        mtf30_cy_px=value[1],
-        mtf30_sigma=sigma[1],
-        mtf10_cy_px=value[2],
-        mtf10_sigma=sigma[2],
-        mtf50p_cy_px=value[3],
-        mtf50p_sigma=sigma[3],
-        angle_deg=folded_angle(normal),
-        orientation="horizontal" if samples.transposed != over else "vertical",
-        normal_deg=normal,
+        mtf=curve,
+        **numbers,
+        **_place(estimate, transposed=samples.transposed),
+        **_levels(estimate),
         flags=tuple(verdict.flags),
-        warnings=tuple(verdict.warnings),
-        edge_row_px=row,
-        edge_col_px=col,
-        edge_sigma_px=estimate.edge_sigma_px,
-        sagitta_px=_sagitta(estimate),
-        polynomial=line.coefficients,
-        roughness_px=estimate.roughness_px,
-        dark_dn=fit.dark,
-        bright_dn=fit.dark + fit.step,
-        dark_sigma_dn=dark_sigma,
-        bright_sigma_dn=bright_sigma,
-        noise_dark_dn=float(np.sqrt(estimate.noise.dark)),
-        noise_bright_dn=float(np.sqrt(estimate.noise.bright)),
+        warnings=tuple(warnings),
         channel=channel,
         roi=roi,
         pixel_um=capture.sensor.pixel_um,
         method="default",
-        settings=_settings(capture, "default") | {"curvature_per_px": float(bend[0] / (1 + slope[0] ** 2) ** 1.5)},
+        settings=_settings(capture, "default"),
         choices=estimate.choices,
         inflation=inflation,
         fit=fit,
         reach_px=(float(estimate.distance_px.min()), float(estimate.distance_px.max())),
-        messages=verdict.flags | verdict.warnings,
+        messages=verdict.flags | warnings,
     )
+
+
+def _numbers(fit: EsfFit, frequency: Float, *, curve: Float, inflation: float) -> dict[str, Any]:
+    """Crossings of 50, 30, 10 % and of half the peak, with sigma."""
+    levels = np.array([0.5, 0.3, 0.1, 0.5 * float(curve.max())])
+    found = spectrum.crossings(fit, frequency, curve=curve, levels=levels)
+    out = {}
+    for name, crossing in zip(("mtf50", "mtf30", "mtf10", "mtf50p"), found, strict=True):
+        out[f"{name}_cy_px"], out[f"{name}_sigma"] = crossing.value, crossing.sigma * inflation
+    return out
+
+
+def _place(estimate: Estimate, *, transposed: bool) -> dict[str, Any]:
+    """Where the edge lies and how it runs."""
+    line = estimate.geometry.line
+    x, slope = line.middle()
+    normal = normal_direction(slope, line.sign, transposed=transposed)
+    row, col = (x, line.y_center_px) if transposed else (line.y_center_px, x)
+    _, _, bend = line.position(np.array([line.y_center_px]))
+    return {
+        "angle_deg": folded_angle(normal),
+        "orientation": "horizontal" if transposed != (abs(slope) > 1) else "vertical",
+        "normal_deg": normal,
+        "edge_row_px": row,
+        "edge_col_px": col,
+        "edge_sigma_px": estimate.edge_sigma_px,
+        "sagitta_px": _sagitta(estimate),
+        "curvature_per_px": float(bend[0] / (1 + slope**2) ** 1.5),
+        "polynomial": line.coefficients,
+        "roughness_px": estimate.roughness_px,
+    }
+
+
+def _levels(estimate: Estimate) -> dict[str, Any]:
+    """Levels and noise of both sides."""
+    dark_sigma, bright_sigma = level_sigma(estimate.fit)
+    return {
+        "dark_dn": estimate.fit.dark,
+        "bright_dn": estimate.fit.dark + estimate.fit.step,
+        "dark_sigma_dn": dark_sigma,
+        "bright_sigma_dn": bright_sigma,
+        "noise_dark_dn": float(np.sqrt(estimate.noise.dark)),
+        "noise_bright_dn": float(np.sqrt(estimate.noise.bright)),
+    }
 
 
 def normal_direction(slope: float, sign: float, *, transposed: bool) -> float:

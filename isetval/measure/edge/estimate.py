@@ -86,7 +86,7 @@ def measure_edge(samples: Samples, look: FirstLook, *, floor: float, choices: Ma
     width = first_width(task.some, line, look)
     geometry, sides = fit_along(task.some, Geometry(line, half_px=half), width)
     for _ in range(PASSES):
-        moved = locate(task, geometry, width, sides)
+        moved = locate(task, geometry, width=width, sides=sides)
         geometry, width = moved.geometry, moved.width_px
         before = geometry
         geometry, sides = fit_along(task.some, geometry, width)
@@ -146,7 +146,7 @@ def _polished(task: _Task, geometry: Geometry, whole: _Whole, sides: SideNoise) 
         core = core_of(samples, geometry.line, whole.fit.width_px)
         values, distance, cosine = core_values(samples, geometry, core)
         noise = SideNoise(whole.noise.dark, whole.noise.bright)
-        shifts = row_shifts(core, values, distance, cosine, whole.fit, noise)
+        shifts = row_shifts(core, values, distance_px=distance, cosine=cosine, fit=whole.fit, noise=noise)
         line, row_chi2 = update_line(geometry.line, samples, shifts, order=order)
         moved = _moved(geometry.line, line)
         if turn == POLISH or moved < LINE_DONE_PX + 0.15 / np.sqrt(max(float(shifts.weight.sum()), 1e-9)):
@@ -168,13 +168,13 @@ class Located:
 def core_values(samples: Samples, geometry: Geometry, core: Core) -> tuple[Float, Float, Float]:
     """Values with the illumination removed and distances of the core's samples (rows, k); cosine of the slope (rows,)."""
     x, slope, bend = geometry.line.at_rows(samples)
-    distance = normal_distance(core.x_px - x[:, None], slope, bend, geometry.line)
+    distance = normal_distance(core.x_px - x[:, None], geometry.line, slope=slope, bend=bend)
     row, column = along_edge(samples, geometry.line)
     values = core.values / gain_at(geometry, row + column[core.column], distance)
     return values, distance, geometry.line.sign / np.sqrt(1 + slope**2)
 
 
-def locate(task: _Task, geometry: Geometry, width: float, sides: SideNoise) -> Located:
+def locate(task: _Task, geometry: Geometry, *, width: float, sides: SideNoise) -> Located:
     """Refine the line on the samples near it: ESF and line in turns until both rest."""
     samples, floor = task.samples, task.floor
     sides = SideNoise(max(sides.dark, floor), max(sides.bright, floor))
@@ -191,7 +191,7 @@ def locate(task: _Task, geometry: Geometry, width: float, sides: SideNoise) -> L
         variance = sides.dark + (sides.bright - sides.dark) * level
         variance = variance + binned.number * _common_error(sides, floor, task.step, full=False)
         fit = fit_esf(binned, variance, shading=None, scale=task.step, full=False)
-        shifts = row_shifts(core, values, distance, cosine, fit, sides)
+        shifts = row_shifts(core, values, distance_px=distance, cosine=cosine, fit=fit, noise=sides)
         line, _ = update_line(geometry.line, samples, shifts, order=task.chosen.get("order"))
         center, wide = center_and_width(fit)
         line = _shifted(line, center)

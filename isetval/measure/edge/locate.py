@@ -227,7 +227,7 @@ class Transitions:
     clear: bool
 
 
-def transitions(values: Float, dark: float, bright: float, noise: float) -> Transitions:
+def transitions(values: Float, *, dark: float, bright: float, noise: float) -> Transitions:
     """Count transitions per row with hysteresis, on rows smoothed by up to 5 samples (every third row)."""
     step = bright - dark
     part = values[::3]

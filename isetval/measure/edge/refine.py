@@ -138,10 +138,10 @@ def distances(samples: Samples, line: EdgeLine) -> Float:
     """Signed distance along the normal of every sample, positive on the bright side, (rows, n)."""
     x, slope, bend = line.at_rows(samples)
     across = samples.step_px * np.arange(samples.values.shape[1]) + (samples.x0_px - x)[:, None]
-    return normal_distance(across, slope, bend, line)
+    return normal_distance(across, line, slope=slope, bend=bend)
 
 
-def normal_distance(across: Float, slope: Float, bend: Float, line: EdgeLine) -> Float:
+def normal_distance(across: Float, line: EdgeLine, *, slope: Float, bend: Float) -> Float:
     """Distance along the normal for a distance along the row."""
     cosine = line.sign / np.sqrt(1 + slope**2)
     if line.order < 2:
@@ -232,7 +232,7 @@ class RowShifts:
     weight: Float
 
 
-def row_shifts(core: Core, values: Float, distance_px: Float, cosine: Float, fit: EsfFit, noise: SideNoise) -> RowShifts:
+def row_shifts(core: Core, values: Float, *, distance_px: Float, cosine: Float, fit: EsfFit, noise: SideNoise) -> RowShifts:
     """Maximum-likelihood shift of every row, given the ESF.
 
     Parameters

@@ -45,6 +45,8 @@ class SfrResult:
         Point of the edge in the middle of the region, capture pixels.
     sagitta_px : float
         Bow of the edge over the region; 0 for a straight fit.
+    curvature_per_px : float
+        Curvature of the edge (1/radius) at the middle of the region, 1/px.
     polynomial : (order + 1,)
         Legendre coefficients of the edge's position against the row (column, for horizontal edges).
     roughness_px : float
@@ -75,6 +77,7 @@ class SfrResult:
     edge_col_px: float
     edge_sigma_px: float
     sagitta_px: float
+    curvature_per_px: float
     polynomial: Float
     roughness_px: float
     dark_dn: float
@@ -153,11 +156,6 @@ class SfrResult:
     def sampling_efficiency(self) -> float:
         """MTF10 over the Nyquist frequency, at most 1 (the convention of the ISO reference code)."""
         return float(min(self.mtf10_cy_px, 0.5) / 0.5) if np.isfinite(self.mtf10_cy_px) else float("nan")
-
-    @property
-    def curvature_per_px(self) -> float:
-        """Curvature of the edge (1/radius) at the middle of the region, 1/px."""
-        return float(self.settings.get("curvature_per_px", 0.0))
 
     @property
     def snr_bright(self) -> float:

@@ -71,7 +71,7 @@ def first_crossing(frequency: Float, curve: Float, level: float) -> float:
     return float(frequency[i - 1] + part * (frequency[i] - frequency[i - 1]))
 
 
-def crossings(fit: EsfFit, frequency: Float, curve: Float, levels: Float) -> list[Crossing]:
+def crossings(fit: EsfFit, frequency: Float, *, curve: Float, levels: Float) -> list[Crossing]:
     """Crossings of several levels, polished by a Newton step on the exact transform."""
     rough = np.array([first_crossing(frequency, curve, level) for level in levels])
     found = np.isfinite(rough)

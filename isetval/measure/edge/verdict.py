@@ -5,7 +5,7 @@ noise), ``saturated``, ``angle_near_0``, ``angle_near_45``, ``angle_near_90``, `
 (pixels see too few positions of the edge), ``edge_near_border``, ``too_blurred``, ``two_edges`` (more
 than one transition, a corner or a pattern).  Warned: ``shallow_angle`` (below 3 degrees),
 ``short_edge`` (below 35, 70, 140 rows for one channel, greens, red or blue), ``clipped_black``,
-``strong_shading``.
+``strong_shading``, ``mtf50_not_reached`` (the SFR stays above one half up to 2 cy/px).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | N
     dark, bright = (look.dark, look.bright) if look is not None else two_levels(samples.values)
     noise = pixel_noise(samples.values)
     rough = 0.63 * float(np.mean(np.abs(samples.values[::3, 1:] - samples.values[::3, :-1])))
-    seen = transitions(samples.values, dark, bright, max(noise, rough))
+    seen = transitions(samples.values, dark=dark, bright=bright, noise=max(noise, rough))
     if seen.clear and (seen.several > 0.2 or seen.against > 0.2):
         return "two_edges", (
             f"{100 * seen.several:.0f} % of the rows cross between dark and bright more than once"

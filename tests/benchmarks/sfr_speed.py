@@ -1,0 +1,69 @@
+"""Speed of the slanted-edge SFR as a ratio to the least that any such method does; run it, it is no test.
+
+The floor is distance, binning into quarter pixels, derivative and FFT of one 100 x 100 region at a known
+line, in plain numpy.  Processor time, so that other work on the machine counts little.
+
+    python tests/benchmarks/sfr_speed.py [--json]
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from isetval.measure.edge import sfr, sfr_batch
+from isetval.scenes.edge_truth import EdgeBlur, EdgeTruth, edge_capture
+
+REGIONS = 40
+
+
+def floor(values: np.ndarray, slope: float) -> np.ndarray:
+    rows, cols = values.shape
+    cosine = 1 / np.hypot(1, slope)
+    distance = (np.arange(cols) - cols / 2 - slope * (np.arange(rows)[:, None] - rows / 2)) * cosine
+    place = ((distance + 80) * 4).astype(np.intp).ravel()
+    number = np.bincount(place, minlength=640)
+    esf = np.bincount(place, values.ravel(), 640) / np.maximum(number, 1)
+    return np.abs(np.fft.rfft(np.diff(esf)))
+
+
+def seconds(task: Callable[[], object], repeats: int = 5) -> float:
+    """Least processor time of several repeats."""
+    best = np.inf
+    for _ in range(repeats):
+        start = time.process_time()
+        task()
+        best = min(best, time.process_time() - start)
+    return best
+
+
+def main() -> dict[str, float]:
+    captures = [
+        edge_capture(EdgeTruth(EdgeBlur(cutoff_cy_px=0.85 + 0.05 * (i % 4)), angle_deg=3.0 + i % 30), snr_bright=60, seed=i)
+        for i in range(REGIONS)
+    ]
+    images = [c.mosaic.astype(float) for c in captures]
+    rois = [None] * REGIONS
+    sfr_batch(captures, rois)
+    least = seconds(lambda: [floor(image, 0.1) for image in images]) / REGIONS
+    single = seconds(lambda: [sfr(c) for c in captures]) / REGIONS
+    batch = seconds(lambda: sfr_batch(captures, rois)) / REGIONS
+    return {
+        "floor_per_second": 1 / least,
+        "single_per_second": 1 / single,
+        "batch_per_second": 1 / batch,
+        "single_over_floor": single / least,
+        "batch_over_floor": batch / least,
+    }
+
+
+if __name__ == "__main__":
+    found = main()
+    if "--json" in sys.argv:
+        sys.stdout.write(json.dumps(found) + "\n")
+    else:
+        sys.stdout.write("".join(f"{name:20s} {value:10.1f}\n" for name, value in found.items()))
