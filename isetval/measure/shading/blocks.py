@@ -151,28 +151,30 @@ def _line_variance(means: Float, pixel_variance: float, pixels: int, *, robust: 
     return excess if excess > 2 * total * spread else 0.0
 
 
-def _slope(medians: Float, *, axis: int) -> Float:
-    """Gradient along one axis from row (or column) medians, zero in the middle, ready to broadcast."""
-    place = np.arange(medians.size) - (medians.size - 1) / 2
-    ends = min(4, medians.size)
-    rise = float(np.median(medians[-ends:]) - np.median(medians[:ends])) / max(medians.size - ends, 1)
-    return np.asarray(rise * (place[:, None] if axis == 0 else place[None, :]))
+def _remeasure(
+    frame: Capture, cut: tuple[slice, slice], *, slopes: tuple[float, float], variance: float
+) -> tuple[float, int, bool]:
+    """Mean of one suspicious block without its bad pixels: (mean in DN, bad pixels, clipped).
 
-
-def _remeasure(frame: Capture, cut: tuple[slice, slice], *, black: float, variance: float) -> tuple[float, int, bool]:
-    """Mean of one suspicious block without its bad pixels: (signal, bad pixels, clipped)."""
+    ``slopes`` are the DN by which the block rises over its rows and columns, from its neighbours.
+    """
     raw = frame.mosaic[cut]
     values = raw.astype(np.float64)
     middle = float(np.median(values))
-    flat = values - sum(_slope(np.median(values, axis=1 - k), axis=k) for k in (0, 1))
+    rises = [s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(slopes, values.shape, strict=True)]
     spread = np.sqrt(variance)
-    good = np.abs(flat - middle) <= OUTLIER_SIGMAS * spread
+    good = np.abs(values - middle - rises[0][:, None] - rises[1]) <= OUTLIER_SIGMAS * spread
     white = frame.sensor.white_dn
     clipped = bool(middle + OUTLIER_SIGMAS * spread >= white and (raw >= white).any())
-    bad = int((~good).sum())
+    bad = int(good.size - good.sum())
     if bad > 0.05 * good.size:
         return float("nan"), bad, clipped
-    return float(flat[good].mean()) - black, bad, clipped
+    return float(values[good].mean()), bad, clipped
+
+
+def _slopes(signal: Float) -> list[Float]:
+    """Change of the signal from block to block along rows and columns; 0 along a single block."""
+    return [np.gradient(signal, axis=k) if signal.shape[k] > 1 else np.zeros_like(signal) for k in (0, 1)]
 
 
 def measure_blocks(
@@ -213,6 +215,32 @@ def measure_blocks(
     return out
 
 
+def _repair(
+    frame: Capture,
+    signal: Float,
+    pooled: Float,
+    suspicious: Bool,
+    *,
+    sums: _Sums,
+    corner: tuple[int, int],
+    phase: tuple[int, int],
+    black: float,
+) -> tuple[Bool, int, int]:
+    """Suspicious blocks measured again, ``signal`` set in place: (usable blocks, clipped blocks, bad pixels)."""
+    step = sums.total.shape[0]
+    used, clipped, bad_pixels = np.ones(signal.shape, bool), 0, 0
+    slopes = _slopes(signal)
+    for i, j in np.argwhere(suspicious):
+        rows = slice(corner[0] + phase[0] + step * sums.row_edges[i], corner[0] + step * sums.row_edges[i + 1], step)
+        cols = slice(corner[1] + phase[1] + step * sums.col_edges[j], corner[1] + step * sums.col_edges[j + 1], step)
+        rise = (float(slopes[0][i, j]), float(slopes[1][i, j]))
+        mean, bad, is_clipped = _remeasure(frame, (rows, cols), slopes=rise, variance=float(pooled[i, j]))
+        signal[i, j] = mean - black
+        used[i, j] = bool(np.isfinite(mean)) and not is_clipped
+        clipped, bad_pixels = clipped + is_clipped, bad_pixels + bad
+    return used, clipped, bad_pixels
+
+
 def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, int], box: Roi, black: float) -> Blocks:
     """Signal, noise and place of one plane's blocks from the raw sums."""
     step = sums.total.shape[0]
@@ -223,13 +251,9 @@ def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, 
     pooled = _pooled_variance(signal.ravel(), variance.ravel(), pixels.ravel(), QUANTIZATION_VARIANCE).reshape(signal.shape)
     limit = pooled * (1 + OUTLIER_SIGMAS * np.sqrt(DIFFERENCE_VARIANCE_FACTOR / np.maximum(pixels, 4)))
     suspicious = (sums.highest[phase[0], :, :, phase[1]] >= frame.sensor.white_dn) | (variance > limit)
-    used, clipped, bad_pixels = np.ones(signal.shape, bool), 0, 0
-    for i, j in np.argwhere(suspicious):
-        rows = slice(box[0] + phase[0] + step * sums.row_edges[i], box[0] + step * sums.row_edges[i + 1], step)
-        cols = slice(box[2] + phase[1] + step * sums.col_edges[j], box[2] + step * sums.col_edges[j + 1], step)
-        signal[i, j], bad, is_clipped = _remeasure(frame, (rows, cols), black=black, variance=float(pooled[i, j]))
-        used[i, j] = bool(np.isfinite(signal[i, j])) and not is_clipped
-        clipped, bad_pixels = clipped + is_clipped, bad_pixels + bad
+    used, clipped, bad_pixels = _repair(
+        frame, signal, pooled, suspicious, sums=sums, corner=(box[0], box[2]), phase=phase, black=black
+    )
     mean_variance, robust = float(np.mean(pooled)), bool(suspicious.mean() > 0.01)
     row_part = _line_variance(sums.row_means[phase[0], :, phase[1]], mean_variance, int(widths.sum()), robust=robust)
     col_part = _line_variance(sums.col_means[phase[0], :, phase[1]], mean_variance, int(heights.sum()), robust=robust)

@@ -183,13 +183,13 @@ def fit_blocks(
     by_order = chi2_by_order(kept, surface, richest)
     shape = choose_polynomial(kept, by_order, surface, richest)
     reach = _reach_mm(points.values(), surface, sensor.pixel_um)
-    radial = shape
-    if order is not None:
-        radial = Radial(basis or "polynomial", order, reach if basis == "spline" else radius)
-    elif basis != "polynomial" and all(b.grid is not None for b in blocks.values()) and shape.order >= HIGHEST_ORDER - 3:
+    radial = Radial(basis or "polynomial", order, reach if basis == "spline" else radius) if order is not None else shape
+    if order is None and basis != "polynomial" and _may_need_spline(blocks, shape):
         finest = fit_surface(kept, radial=richest, geometry=name, start=surface.geometry, steps=3)
         radial = choose_spline(kept, finest, reach_mm=reach) or shape
-    final = fit_surface(kept, radial=radial, geometry=name, start=surface.geometry)
+    # a spline starts from the polynomial's geometry: one step is enough
+    steps = 12 if radial.kind == "polynomial" else 1
+    final = fit_surface(kept, radial=radial, geometry=name, start=surface.geometry, steps=steps)
     shape = radial if radial.kind == "polynomial" else shape
     shorter = None if order is not None else _shorter(kept, final, richest, name)
     common = final if shape is radial else fit_surface(kept, radial=shape, geometry=name, start=surface.geometry, steps=4)
@@ -202,6 +202,11 @@ def fit_blocks(
         final = with_line_noise(final, kept, noise)
         single = {p: with_line_noise(single[p], [kept[k]], [noise[k]]) for k, p in enumerate(points)}
     return Fitted(blocks, points, keep, scale, final, common, single, by_order, name, radial, reach, shorter, notes)
+
+
+def _may_need_spline(blocks: Mapping[str, Blocks], shape: Radial) -> bool:
+    """Whole frames whose polynomial is near its highest order."""
+    return shape.order >= HIGHEST_ORDER - 3 and all(b.grid is not None for b in blocks.values())
 
 
 def _shorter(kept: Sequence[Points], final: Surface, richest: Radial, geometry: str) -> Surface | None:

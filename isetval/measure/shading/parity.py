@@ -22,7 +22,7 @@ def odd_even(fitted: Fitted, sensor: Sensor, names: Sequence[str]) -> OddEven | 
     """Split of the map into f(x) + f(-x) and f(x) - f(-x); None unless one window symmetric about the middle was measured.
 
     The model's odd part is exact; the measured odd part is the model's plus the odd part of the residual map,
-    so the half-pixel place of each plane does not enter.
+    so the half-pixel place of each plane does not enter.  The polynomial fit serves: what it misses is even.
     """
     parts = [_plane_parts(fitted, name, sensor) for name in names]
     if any(part is None for part in parts):
@@ -50,8 +50,8 @@ def _plane_parts(fitted: Fitted, plane: str, sensor: Sensor) -> tuple[Float, Flo
     if blocks.grid is None or not _symmetric(blocks.row_px, sensor.rows) or not _symmetric(blocks.col_px, sensor.cols):
         return None
     k = list(fitted.blocks).index(plane)
-    coefficients, geometry = fitted.surface.coefficients[k], fitted.surface.geometry
-    radial = fitted.radial
+    coefficients, geometry = fitted.common.coefficients[k], fitted.common.geometry
+    radial = fitted.common.radial
     at_center = float(coefficients @ radial.at_center())
     straight = geometry * np.array([1, 1, 0, 0])
     turned = Points(-points.x_mm, -points.y_mm, *(getattr(points, n) for n in list(points.__dataclass_fields__)[2:]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,11 +52,8 @@ class Radial:
         if self.kind == "polynomial":
             return slope
         t = np.sqrt(np.maximum(r2_mm2 / self.radius_mm**2, 1e-10)) * self.order
-        k = np.arange(self.order + 2, dtype=float)[:, None]
-        spline = _cubic_slope(t[None] - k)
-        spline[1:2] += _cubic_slope(t[None] + 1)
         per_mm2 = (self.order / self.radius_mm) ** 2
-        return np.concatenate([slope, spline * (per_mm2 / (2 * t[None]))])
+        return np.concatenate([slope, _scatter(t, self.order, _cubic_slopes) * (per_mm2 / (2 * t[None]))])
 
     def at_center(self) -> Float:
         """Basis functions at r = 0, (count,)."""
@@ -64,10 +62,17 @@ class Radial:
 
 def mirrored_splines(s: Float, intervals: int) -> Float:
     """Cubic B-splines on 0..1 at s, mirrored at 0, (intervals + 2, points)."""
-    t = s * intervals
-    out = _cubic(t[None] - np.arange(intervals + 2, dtype=float)[:, None])
-    out[1:2] += _cubic(t[None] + 1)
-    return out
+    return _scatter(s * intervals, intervals, _cubics)
+
+
+def _scatter(t: Float, intervals: int, pieces: Callable[[Float], tuple[Float, ...]]) -> Float:
+    """The four splines alive at each t, put in their rows; the one at -1 is folded onto 1, those past the end left out."""
+    whole = np.floor(t).astype(np.intp)
+    out = np.zeros((intervals + 3, t.size))
+    point = np.arange(t.size)
+    for k, values in enumerate(pieces(t - whole), start=-1):
+        out[np.minimum(np.abs(whole + k), intervals + 2), point] += values
+    return out[: intervals + 2]
 
 
 def _legendre(u: Float, order: int) -> Float:
@@ -88,14 +93,14 @@ def _legendre_slope(basis: Float) -> Float:
     return out
 
 
-def _cubic(t: Float) -> Float:
-    """Cardinal cubic B-spline, support -2..2."""
-    a = np.abs(t)
-    outer, inner = np.maximum(2 - a, 0), np.maximum(1 - a, 0)
-    # products, not powers: ten times faster
-    return np.asarray((outer * outer * outer - 4 * (inner * inner * inner)) / 6)
+def _cubics(f: Float) -> tuple[Float, ...]:
+    """The four cubic B-splines alive in an interval, at fractions f of it."""
+    g, f2 = 1 - f, f * f
+    f3 = f2 * f
+    return g * g * g / 6, (4 - 6 * f2 + 3 * f3) / 6, (1 + 3 * f + 3 * f2 - 3 * f3) / 6, f3 / 6
 
 
-def _cubic_slope(t: Float) -> Float:
-    a = np.abs(t)
-    return np.asarray(np.sign(t) * (-(np.maximum(2 - a, 0) ** 2) + 4 * np.maximum(1 - a, 0) ** 2) / 2)
+def _cubic_slopes(f: Float) -> tuple[Float, ...]:
+    """Their derivatives."""
+    f2 = f * f
+    return -((1 - f) ** 2) / 2, 1.5 * f2 - 2 * f, 0.5 + f - 1.5 * f2, f2 / 2

@@ -187,7 +187,7 @@ def fit_surface(
         if largest < 2e-6 and float(np.abs(change[2:]).max()) < 1e-6:
             converged = True
             break
-    if not converged:
+    if not converged and steps > 1:
         _, parts, _ = _step(planes, place, [None] * len(planes), radial=radial, free=())
     chi2 = tuple(
         float((((p.value - evaluate(p, place, c, radial)) / p.sigma) ** 2).sum()) for p, c in zip(planes, parts, strict=True)
