@@ -27,6 +27,7 @@ Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 BLOCK_PX = 64
 LAYER_STEP_PX = 0.5
+JUMP = 0.02
 
 
 def image_space_irradiance(
@@ -207,15 +208,23 @@ def _composite(radiance: Float, depth: Float, layers: list[float], otfs: list[Co
     if len(layers) == 1:
         return _blur(radiance, otfs[0])
     nearest = np.abs(1 / depth[None] - 1 / np.array(layers)[:, None, None]).argmin(axis=0)
+    own = ~_mixed(depth)
     out = np.zeros_like(radiance)
     for k, otf in enumerate(otfs):
         mask = (nearest >= k).astype(float)
-        filled = radiance if k == 0 and mask.all() else radiance * mask
-        if k < len(layers) - 1:
-            filled = _continued(radiance, nearest == k) * mask
+        known = (nearest == k) & own
+        filled = _continued(radiance, known if known.any() else nearest == k) * mask
         cover = _blur(mask, otf)
         out = out * (1 - cover) + _blur(filled, otf)
     return out
+
+
+def _mixed(depth: Float) -> NDArray[np.bool_]:
+    """Pixels at a jump of depth, whose radiance is a mixture of what lies before and behind."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    vergence = 1 / depth
+    return np.asarray(maximum_filter(vergence, 3) > (1 + JUMP) * minimum_filter(vergence, 3))
 
 
 def _continued(values: Float, known: NDArray[np.bool_]) -> Float:

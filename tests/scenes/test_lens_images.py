@@ -189,3 +189,17 @@ def test_the_sensor_gives_the_irradiance_of_the_traced_lens(crop, fast_variant):
     assert out.irradiance.mean(dtype=float) == pytest.approx(
         float(lens.irradiance_factor(radius_mm(crop), 0, film_mm=0.49234)), rel=3e-3
     )
+
+
+@pytest.mark.slow
+def test_an_edge_before_a_far_wall(fast_variant):
+    # the image-space path does not know what the pupil sees behind the edge: looser than planar targets
+    view = lens_view(pixel_4a(), film_mm=0.52, reach_mm=3.6)
+    crop = (1480, 2300, 64, 64)
+    card = edge_scene(view, crop, 0.3)["shapes"][0]
+    wall = rectangle("wall", translate(0, 0, 0), size_m=(3, 3), reflectance="light")
+    a, b = both(scene([card, wall]), view, crop, 2048)
+    assert abs(a.mean() / b.mean() - 1) < 0.01
+    line = edge_line(b)
+    (f, found), (_, expected) = slanted_edge_mtf(a, line), slanted_edge_mtf(b, line)
+    assert np.abs(found - expected)[f <= 0.5].max() < 0.05
