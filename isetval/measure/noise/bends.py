@@ -47,10 +47,14 @@ def covariance_per_e(series: LevelSeries, plane: str, roi: Roi | None, known: Fo
     bright = bright[-4:] if bright[0].pixels < LARGEST**2 // 4 else bright[-2:]
     value = weight_sum = 0.0
     for level in bright:
+        if not level.mean_dn > 0:
+            continue
         found = _four_neighbours(level.captures, plane, roi, known)
-        weight = (level.mean_dn**2 / found.sigma) ** 2
+        weight = (level.mean_dn**2 / found.sigma) ** 2 if found.sigma > 0 else 0.0
         value += weight * found.value / level.mean_dn**2
         weight_sum += weight
+    if not weight_sum > 0:
+        return Quantity(math.nan, math.nan, "1/e-")
     return Quantity(value / weight_sum, 1 / math.sqrt(weight_sum), "1/e-")
 
 

@@ -13,7 +13,7 @@ from isetval.core.capture import Capture, Roi, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.reference import DarkLevel, dark_level
-from isetval.measure.noise.statistics import check_frames
+from isetval.measure.noise.statistics import check_frames, check_region
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -120,6 +120,7 @@ def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
     var - 1/12 (see ``quantized``).
     """
     check_frames(captures)
+    check_region(captures[0], roi)
     if all(c.mosaic.min() == c.mosaic.max() for c in captures):
         raise MeasurementError(
             f"all {len(captures)} dark frames hold one value each (the first {int(captures[0].mosaic.flat[0])} DN); dark "
@@ -201,9 +202,11 @@ def _variance_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> Quantit
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Intercept and slope with covariance, widened by chi2 / dof where that exceeds 1."""
-    design = np.stack([np.ones_like(x), x], axis=1) / sigma[:, None]
-    inverse = np.linalg.inv(design.T @ design)
+    sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, max(float(np.nanmax(sigma)), 1e-6))
+    scale = np.array([1.0, float(np.max(x)) or 1.0])
+    design = np.stack([np.ones_like(x), x], axis=1) / scale / sigma[:, None]
+    inverse = np.linalg.pinv(design.T @ design, hermitian=True)
     theta = inverse @ (design.T @ (y / sigma))
     rest = y / sigma - design @ theta
     wider = max(float(rest @ rest) / (x.size - 2), 1.0) if x.size > 2 else 1.0
-    return theta, inverse * wider
+    return theta / scale, np.abs(inverse) * wider / np.outer(scale, scale)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
-from isetval.measure.noise.statistics import check_frames
+from isetval.measure.noise.statistics import check_frames, check_region
 
 Float = NDArray[np.float64]
 LEVEL_GAP = 0.03
@@ -63,6 +63,7 @@ def group(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Ca
     """
     everything = [*captures, *(dark or ())]
     check_frames(everything)
+    check_region(everything[0], roi)
     _one_gain(everything)
     means = {id(c): frame_mean(c, roi) for c in everything}
     notes: list[str] = []

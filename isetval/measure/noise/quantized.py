@@ -98,7 +98,7 @@ def _pixel_codes(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None) -
     center = float(np.median(stack))
     spread = max(1.4826 * float(np.median(np.abs(stack - center))), 0.5)
     keep = np.all(np.abs(stack - center) <= max(8 * spread, 2), axis=1)
-    kept = stack[keep]
+    kept = stack[keep] if keep.any() else stack
     first = int(kept.min())
     return np.minimum(kept - first, MAX_CODES - 1), first
 

@@ -23,6 +23,7 @@ from isetval.measure.noise.quantity import Quantity
 
 Float = NDArray[np.float64]
 NAN = float("nan")
+MIN_SIDE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +95,26 @@ def check_frames(captures: Sequence[Capture]) -> None:
             )
 
 
+def check_region(capture: Capture, roi: Roi | None) -> None:
+    """Refuse a region in which a plane has fewer than 4 x 4 pixels."""
+    for plane in planes_of(capture):
+        shape = plane_view(capture, plane, roi)[0].shape
+        if min(shape) < MIN_SIDE:
+            raise InputError(
+                f"plane {plane} has {shape[0]} x {shape[1]} pixels in roi {roi or 'None (whole frame)'}; noise needs at least "
+                f"{MIN_SIDE} x {MIN_SIDE} of each color: enlarge the region"
+            )
+
+
 def plane_moments(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, keep: bool = False) -> Moments:
     """Moments of one colour plane of same-sized captures, DN above their black level."""
     views = [plane_view(capture, plane, roi)[0] for capture in captures]
-    if views[0].size == 0:
-        raise InputError(f"plane {plane} has no pixel in roi {roi}; use a region of at least 2 x 2 mosaic pixels")
     return frame_moments(views, plane_black_dn(captures[0], plane), keep=keep)
 
 
 def _statistics(captures: Sequence[Capture], roi: Roi | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
     check_frames(captures)
+    check_region(captures[0], roi)
     out: dict[str, PlaneStatistics] = {}
     residuals: dict[str, tuple[Moments, tuple[int, int]]] = {}
     for plane in planes_of(captures[0]):

@@ -15,6 +15,7 @@ from isetval.core.errors import InputError
 from isetval.measure.noise.codes import code_statistics
 from isetval.measure.noise.grouping import frame_mean, frame_noise
 from isetval.measure.noise.moments import frame_moments
+from isetval.measure.noise.statistics import check_region
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,6 +81,8 @@ def quality(captures: Sequence[Capture] | Capture, roi: Roi | None = None) -> Qu
     if not frames:
         raise InputError("no captures were given; at least one frame is needed")
     findings: list[Finding] = []
+    for capture in frames:
+        check_region(capture, roi)
     for number, capture in enumerate(frames):
         findings += _single(capture, roi, f"capture {number}")
     findings += _series(frames, roi)
