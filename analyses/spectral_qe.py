@@ -239,7 +239,10 @@ def main() -> None:
         nm, qe, spectra = source or made_up(np.random.default_rng(args.seed))
         predicted = exposed(nm, qe, spectra)
         measured, sigma = noisy(np.random.default_rng(args.seed), predicted @ PAPER_M)
-        result = spectral_qe(measured, predicted, sigma=sigma, lights=LIGHTS, patches=PATCHES)
+        plain = predicted_responses(spectra, qe, wavelength_nm=nm).max(axis=(1, 2))
+        exposed_spectra = spectra * (800 / plain)[:, None, None]
+        names = {"lights": LIGHTS, "patches": PATCHES}
+        result = spectral_qe(measured, exposed_spectra, qe=qe, wavelength_nm=nm, sigma=sigma, **names)
         qe_figure(result, nm, measured, predicted).savefig(args.figure)
 
 

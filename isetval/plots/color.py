@@ -62,6 +62,8 @@ def qe_figure(result: Any, wavelength_nm: Any, measured: Any, predicted: Any) ->
             filters.plot(wavelength_nm, result.corrected_qe[:, j], color=color)
         filters.set_xlabel("wavelength (nm)")
         filters.set_ylabel("QE (dashed: nominal)")
+    else:
+        filters.set_axis_off()
     return figure
 
 
