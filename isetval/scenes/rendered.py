@@ -27,6 +27,7 @@ from isetval.scenes.spectra import LONGEST_NM, SHORTEST_NM
 
 Float = NDArray[np.float64]
 FINE_PX = 2_000_000
+COARSE_PX = 64
 
 
 def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | None = None) -> Signal:
@@ -65,6 +66,30 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
     return Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm)
 
 
+def rendered_mean(scene: Scene, context: Context) -> Float:
+    """Mean spectral radiance (bands,) of all that the camera sees of a rendered scene, for glare; a coarse render."""
+    loaded = load_target(scene)
+    lamp = scene.white if np.any(scene.white > 0) else own_lamp(scene)
+    sensor = context.sensor
+    factor = max(sensor.rows, sensor.cols) / COARSE_PX
+    coarse = replace(
+        sensor,
+        rows=max(1, round(sensor.rows / factor)),
+        cols=max(1, round(sensor.cols / factor)),
+        pixel_um=sensor.pixel_um * factor,
+    )
+    camera = fine_camera(loaded.cameras[loaded.settings["camera"]], replace(context, sensor=coarse), subsample=1, halo_px=0)
+    bands = _bands(loaded, scene)
+    made = render(loaded.spec, camera=camera, wavelength_nm=bands, spp=32, seed=int(loaded.settings["seed"]))
+    mean = np.interp(scene.wavelength_nm, bands, made.radiance.mean(axis=(1, 2), dtype=float))
+    return np.asarray(lamp * mean if scene.ambient is None else lamp * mean + scene.ambient)
+
+
+def _bands(loaded: LoadedScene, scene: Scene) -> Float:
+    low, high = max(SHORTEST_NM, scene.wavelength_nm[0]), min(LONGEST_NM, scene.wavelength_nm[-1])
+    return np.linspace(low, high, int(loaded.settings["bands"]))
+
+
 def load_target(scene: Scene, **changes: Any) -> LoadedScene:
     """The scene of a shot for unit lamp radiance, with what scene effects and nuisances changed."""
     assert isinstance(scene.target, RenderedTarget)
@@ -101,12 +126,10 @@ def _transport(loaded: LoadedScene, scene: Scene, context: Context, progress: Pr
     camera = fine_camera(loaded.cameras[settings["camera"]], context, subsample=s, halo_px=halo)
     row0, col0 = context.window[:2]
     crop = (row0 * s, col0 * s, (rows + 2 * halo) * s, (cols + 2 * halo) * s)
-    low, high = max(SHORTEST_NM, scene.wavelength_nm[0]), min(LONGEST_NM, scene.wavelength_nm[-1])
-    bands = np.linspace(low, high, int(settings["bands"]))
     shared: dict[str, Any] = {
         "camera": camera,
         "crop": crop,
-        "wavelength_nm": bands,
+        "wavelength_nm": _bands(loaded, scene),
         "spp": max(2, -(-int(settings["spp"]) // s**2)),
         "seed": int(settings["seed"]),
         "variant": settings["variant"] or None,

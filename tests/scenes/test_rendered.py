@@ -12,7 +12,7 @@ from isetval.core.sensor import Sensor
 from isetval.core.spectrum import Spectrum
 from isetval.scenes.own_spectra import lamp
 from isetval.scenes.passes import Render
-from isetval.scenes.rendered import Picture, rendered_radiance
+from isetval.scenes.rendered import Picture, rendered_mean, rendered_radiance
 
 pytestmark = pytest.mark.mitsuba
 GRID = np.arange(450.0, 651.0, 25.0)
@@ -65,6 +65,11 @@ def test_scene_effects_reach_the_render():
     np.testing.assert_allclose(stray - base, 0.1, rtol=1e-6)
     tilted = rendered_radiance(scene(1.0, target_tilt=(0.2, 0.0)), context()).values
     np.testing.assert_allclose((tilted / base)[0, 0], 1 + 0.2 * (np.arange(16) - 7.5) / 8, rtol=1e-9)
+
+
+def test_mean_of_the_field_for_glare():
+    whole = rendered_radiance(scene(2.0), context((0, 0, 48, 64))).values.mean(axis=(1, 2))
+    np.testing.assert_allclose(rendered_mean(scene(2.0), context()), whole, rtol=0.1)  # the lamp's border is coarse
 
 
 def test_a_turned_camera_sees_the_turned_picture():
