@@ -15,6 +15,7 @@ from isetval.core.effect import Effect, parameter, table_file
 from isetval.core.errors import InputError
 from isetval.core.signal import Signal
 from isetval.core.spectrum import Spectrum, read_spectra
+from isetval.tomlfile import resolve_path
 
 Float = NDArray[np.float64]
 PLANCK_J_S = 6.62607015e-34
@@ -136,7 +137,7 @@ class QuantumEfficiency(Effect):
         """
         if not self.file:
             raise InputError('effect quantum_efficiency: file is empty; name a CSV table, for example file = "qe.csv"')
-        path = Path(self.base) / self.file
+        path = resolve_path(self.file, Path(self.base))
         stamp = path.stat().st_mtime_ns if path.is_file() else 0
         table = _table(str(path), stamp)
         wanted = 1 if context.sensor.cfa == "MONO" else 3
