@@ -84,7 +84,7 @@ class FileCaptures(Mapping[str, tuple[Capture, ...]]):
         capture = read_dng(path)
         _check_exposure(capture.exposure, shot, path)
         window = (shot.window or (0, 0))[:2]
-        placed = place_on_sensor(capture, self._sensor, (window[0], window[1]))
+        placed: Capture = place_on_sensor(capture, self._sensor, (window[0], window[1]))
         time_s = placed.exposure.time_s if placed.exposure.time_s is not None else shot.exposure.time_s
         return replace(placed, exposure=replace(placed.exposure, time_s=time_s))
 
@@ -126,7 +126,8 @@ def _sensor_of_files(shots: tuple[Shot, ...], path: Path) -> Sensor:
 
     for shot in shots:
         if shot.files:
-            return read_dng(path.parent / shot.files[0]).sensor
+            first: Capture = read_dng(path.parent / shot.files[0])
+            return first.sensor
     raise InputError(f"{path}: neither camera nor [sensor] nor any file says what the sensor is; name a camera model")
 
 

@@ -160,7 +160,9 @@ def _field_means(model: CameraModel, effects: tuple[Effect, ...], setup: ShotSet
     """Mean irradiance (bands,) of the whole field in front of each effect that asks for it."""
     factor = max(model.sensor.rows, model.sensor.cols) / FIELD_PX
     rows, cols = (max(1, round(n / factor)) for n in (model.sensor.rows, model.sensor.cols))
-    coarse = Sensor(rows, cols, model.sensor.pixel_um * factor, "MONO", 0.0, model.sensor.white_dn, model.sensor.bits)
+    coarse = Sensor(
+        rows, cols, model.sensor.pixel_um * factor, "MONO", ((0.0, 0.0), (0.0, 0.0)), model.sensor.white_dn, model.sensor.bits
+    )
     context = replace(make_context(model, setup), sensor=coarse, window=(0, 0, rows, cols), shot_window=None)
     scene = _scene(model, effects, setup, context)
     if scene.target is None:

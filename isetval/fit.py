@@ -107,7 +107,16 @@ def make_problem(predictor: Predictor, nominal: CameraModel, *, base: Base | Non
     (anchor,) = predictor.derivative_vectors([Point(nominal)])
     measured = predictor.table.values
     variance = np.diag(base.covariance)
-    usable = ~_empty_counts(predictor.table, measured, base) & np.isfinite(measured) & np.isfinite(base.mean) & np.isfinite(anchor) & np.isfinite(variance) & (variance > 0)
+    usable = (
+        ~_empty_counts(predictor.table, measured, base)
+        & np.isfinite(measured)
+        & np.isfinite(base.mean)
+        & np.isfinite(anchor)
+        & np.isfinite(variance)
+        & (variance > 0)
+    )
+    # what is only rounding is no measurement
+    usable &= variance > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
     keep = np.flatnonzero(usable)
     if keep.size == 0:
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
@@ -120,7 +129,7 @@ def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np
     """Rows that count outliers where neither side has any: they hold no information and are not normal."""
     counts = np.array([m.unit.startswith("2 sqrt(count") for m in table.metrics])
     nothing = 2 * np.sqrt(0.375) + 1e-9
-    return counts & (measured <= nothing) & (base.values.max(axis=0) <= nothing)
+    return np.asarray(counts & (measured <= nothing) & (base.values.max(axis=0) <= nothing))
 
 
 def weigh(problem: Problem) -> None:
@@ -173,7 +182,8 @@ def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence
 
 def at(point: Point, free: Sequence[Free], values: Sequence[float]) -> Point:
     """The point with parameters set (clipped to their bounds)."""
-    nuisances, camera = dict(point.values), {}
+    nuisances = dict(point.values)
+    camera: dict[str, float] = {}
     for parameter, value in zip(free, values, strict=True):
         clipped = float(np.clip(value, parameter.low, parameter.high))
         (nuisances if parameter.is_nuisance else camera)[parameter.key] = clipped
@@ -200,10 +210,8 @@ def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, tag: str =
     for f in wanted:
         value = point.values.get(f.key, 0.0) if f.is_nuisance else point.model.value(f.key)
         up = f.step if value + f.step <= f.high else -f.step
-        if _symmetric(f):
-            column = (next(vectors) - next(vectors)) / (2 * up)
-        else:
-            column = (next(vectors) - here) / up
+        ahead = next(vectors)
+        column = (ahead - next(vectors)) / (2 * up) if _symmetric(f) else (ahead - here) / up
         fresh[f.key] = problem.whitened(column)
         if f.is_nuisance:
             problem.columns[(tag, f.key)] = fresh[f.key]
@@ -256,7 +264,7 @@ def fit(problem: Problem, start: Point, free: Sequence[Free], *, tag: str = "", 
             matrix = jacobian(problem, point, free, tag=tag)
     point = at(start, free, list(values))
     hessian = matrix.T @ matrix + np.diag(weight**2)
-    covariance = np.linalg.pinv(hessian) if free else np.zeros((0, 0))
+    covariance: Float = np.asarray(np.linalg.pinv(hessian)) if free else np.zeros((0, 0))
     residual = problem.measured - prediction
     return Fit(point, free, values, covariance, prediction, residual, z, matrix, float(cost), converged)
 

@@ -80,13 +80,14 @@ def make_effect(name: str, values: Mapping[str, Any], where: str, base: Path | N
     for key in values:
         if key not in fields:
             raise InputError(f"{where}: effect {name} has no {key!r}; it has {', '.join(sorted(fields))}")
-    settings = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     for key in cls.files():
         if settings.get(key):
             file = resolve_path(str(settings[key]), base or Path())
             if not file.is_file():
                 raise InputError(f"{where}: effect {name}: {key} names {file}, which does not exist; correct the path")
-    return cls(**settings, base=str(base or Path()))
+    settings["base"] = str(base or Path())
+    return cls(**settings)
 
 
 def _effect(entry: Any, path: Path, place: int) -> Effect:

@@ -25,14 +25,17 @@ from isetval.core.metric import Block, MetricTable
 from isetval.measure.campaign import measure_shot
 from isetval.model import CameraModel
 from isetval.shooting import camera_with, expose, shot_setup
+from isetval.store import Store, content_hash
 
 Float = NDArray[np.float64]
 REPLICAS = 16
+COVARIANCE_REPLICAS = 4
 ONE_FRAME_ROLES = ("edge", "chart", "scene")
 DERIVATIVE_SEEDS = (101,)
 # signatures have seeds of their own: what rounding does to a fit must not look like a signature
 SIGNATURE_SEEDS = (201,)
-RANDOM_SEEDS = (201, 202, 203)
+RANDOM_SEEDS = (201, 202)
+NOISE_ROLES = ("dark", "flat")  # where noise itself is measured: means elsewhere do not feel it
 BASE_SEED = 7_000
 
 
@@ -96,11 +99,12 @@ class Predictor:
         self.shots = tuple(shot for shot in self.plan.shots if shot.name in measured)
         self.rows = {shot.name: np.array([i for i, m in enumerate(table.metrics) if m.shot == shot.name]) for shot in self.shots}
         self.jobs = max(1, min(jobs, os.cpu_count() or 1))
-        self._memo: dict[Any, Float] = {}
+        self._memo = Store(repr((self.plan.name, [shot.name for shot in self.shots])))
         self._pools: list[ProcessPoolExecutor] = []
 
     def close(self) -> None:
-        """Stop the workers."""
+        """Stop the workers; keep what was simulated for the next time."""
+        self._memo.save()
         for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)
         self._pools = []
@@ -116,27 +120,44 @@ class Predictor:
         choices = {key: made for key, made in self.table.choices.items() if key.startswith(f"{shot.name}/")}
         return ShotPart(camera, shot_setup(self.plan, shot, values), seed, derivative, choices)
 
-    def derivative_vectors(self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS) -> list[Float]:
-        """Metrics (metrics,) at each point, mean over ``seeds`` of common random numbers."""
-        tasks = [part for point in points for seed in seeds for part in self.parts(point, seed, derivative=True)]
+    def derivative_vectors(
+        self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS, *, roles: Sequence[str] | None = None
+    ) -> list[Float]:
+        """Metrics (metrics,) at each point, mean over ``seeds`` of common random numbers.
+
+        With ``roles``, shots of other roles are not simulated; their rows are nan.
+        """
+        shots = [shot for shot in self.shots if roles is None or shot.role in roles]
+        cameras = [camera_with(point.model, self.plan, point.values) for point in points]
+        tasks = [
+            self._part(camera, shot, point.values, seed, True)
+            for point, camera in zip(points, cameras, strict=True)
+            for seed in seeds
+            for shot in shots
+        ]
         results = iter(self._vectors(tasks))
         out = []
         for _ in points:
-            total = np.zeros(len(self.keys))
-            for _ in seeds:
-                for shot in self.shots:
-                    total[self.rows[shot.name]] += next(results)
+            total = np.full(len(self.keys), np.nan)
+            for n, _ in enumerate(seeds):
+                for shot in shots:
+                    rows = self.rows[shot.name]
+                    total[rows] = next(results) + (total[rows] if n else 0.0)
             out.append(total / len(seeds))
         return out
 
     def base(self, point: Point, replicas: int = REPLICAS) -> Base:
         """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen."""
         tasks = [part for r in range(replicas) for part in self.parts(point, BASE_SEED + r, derivative=False)]
-        blocks = iter(self._run(_blocks_of, tasks))
-        tables = [MetricTable(tuple(b for _ in self.shots for b in next(blocks))) for _ in range(replicas)]
-        order = [self._order(table) for table in tables]
-        values = np.array([np.append(t.values, np.nan)[o] for t, o in zip(tables, order, strict=True)])
-        covariance = np.mean([_ordered(t.covariance(), o) for t, o in zip(tables, order, strict=True)], axis=0)
+        vectors = iter(self._vectors(tasks))
+        values = np.zeros((replicas, len(self.keys)))
+        for r in range(replicas):
+            for shot in self.shots:
+                values[r, self.rows[shot.name]] = next(vectors)
+        count = min(COVARIANCE_REPLICAS, replicas)
+        blocks = iter(self._run(_blocks_of, tasks[: count * len(self.shots)]))
+        tables = [MetricTable(tuple(b for _ in self.shots for b in next(blocks))) for _ in range(count)]
+        covariance = np.mean([_ordered(t.covariance(), self._order(t)) for t in tables], axis=0)
         scale = self._scatter(values, covariance)
         factor = np.array([scale[m.family] for m in self.table.metrics])
         return Base(values.mean(axis=0), covariance * np.outer(factor, factor), values, scale)
@@ -162,15 +183,15 @@ class Predictor:
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
         """Measured values of each task; equal content is simulated once."""
-        keys = [_content(task) for task in tasks]
-        missing: dict[Any, ShotPart] = {}
+        keys = [content_hash((_content(task), self._rows_of(task))) for task in tasks]
+        missing: dict[str, ShotPart] = {}
         for key, task in zip(keys, tasks, strict=True):
-            if key not in self._memo:
+            if self._memo.get(key) is None:
                 missing.setdefault(key, task)
-        for key, (digest, vector) in zip(missing, self._run(_vector_of, list(missing.values()), self._rows_of), strict=True):
-            self._memo[key] = vector
-            del digest
-        return [self._memo[key] for key in keys]
+        vectors = self._run(_vector_of, list(missing.values()), self._rows_of)
+        for key, vector in zip(missing, vectors, strict=True):
+            self._memo.put(key, vector)
+        return [self._memo.items[key] for key in keys]
 
     def _rows_of(self, task: ShotPart) -> list[Any]:
         return [self.keys[i] for i in self.rows[task.setup.shot.name]]
@@ -195,7 +216,8 @@ def _content(task: ShotPart) -> Any:
     model = task.model
     front = tuple(e.content() for e in model.effects if e.stage in FRONT)
     rest = tuple(e.content() for e in model.effects if e.stage not in FRONT)
-    return (model.sensor, front, task.setup.digest(), rest, task.setup.shot.name, task.seed, task.derivative)
+    made = (front, task.setup.digest(), rest, task.setup.shot.name, task.setup.shot.frames)
+    return (model.sensor, model.wavelength_nm.tobytes(), made, task.seed, task.derivative, repr(task.choices))
 
 
 def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
@@ -208,8 +230,8 @@ def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
 _SEEN: dict[Any, Float] = {}
 
 
-def _vector_of(task: ShotPart, keys: Sequence[Any]) -> tuple[str, Float]:
-    """Values of ``keys`` for one shot; equal light and electronics are measured once per process."""
+def _vector_of(task: ShotPart, keys: Sequence[Any]) -> Float:
+    """Values of ``keys`` for one shot; equal light and electronics are shot and measured once per process."""
     mean = mean_electrons(task.model, task.setup)
     digest = hashlib.sha256(mean.tobytes()).hexdigest()
     rest = tuple(e.content() for e in task.model.effects if e.stage not in FRONT)
@@ -230,11 +252,14 @@ def _vector_of(task: ShotPart, keys: Sequence[Any]) -> tuple[str, Float]:
             _SEEN.clear()
         values = {m.key(): m.value for block in _blocks_of(task) for m in block.metrics}
         _SEEN[key] = np.array([values.get(k, np.nan) for k in keys])
-    return digest, _SEEN[key]
+    return _SEEN[key]
 
 
 def _blocks_of(task: ShotPart) -> list[Block]:
-    mode = "derivative" if task.derivative else "capture"
+    mode = "capture"
+    if task.derivative:
+        # an edge that moves takes its noise to other phases: only without noise do both sides stay comparable
+        mode = "expected" if task.setup.shot.role == "edge" else "derivative"
     captures = expose(task.model, task.setup, task.seed, mode=mode)  # type: ignore[arg-type]
     try:
         return [block for _, block in measure_shot(task.setup.shot, captures, choices=task.choices)]

@@ -186,6 +186,8 @@ def expose(
         factor = 1.0 if frame_factors is None else frame_factors[frame]
         own = replace(context, frame=frame, previous=before, poisson_gaussian=gaussian)
         dn = electronics(model, mean if factor == 1.0 else mean * factor, own, threads=threads)
+        if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
+            dn = dn + stream(seed, word("dither"), word(shot.name), frame).random(dn.shape) - 0.5
         frames.append(_capture(model, setup, dn, seed, frame))
     return tuple(frames)
 

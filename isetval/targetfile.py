@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ from isetval.core.spectrum import Spectrum, read_spectra
 from isetval.tomlfile import check_keys, number, numbers, read_toml, resolve_path, text
 
 _EDGE_KEYS = (
-    "kind", "angle_deg", "orientation", "offset_px", "dark_side", "dark_reflectance", "bright_reflectance", "surround", "roi", "notes",
+    "kind", "angle_deg", "orientation", "offset_px", "dark_side", "dark_reflectance", "bright_reflectance",
+    "surround", "roi", "notes",
 )  # fmt: skip
 _CHART_KEYS = ("kind", "patch", "surround", "reflectance", "margin_px", "notes")
 _SCENE_KEYS = ("kind", "file", "patch", "line", "notes")
@@ -27,8 +28,8 @@ def read_target(name: str, entry: Any, path: Path) -> Target:
         For an unknown kind, unknown keys, or spectra that are not there.
     """
     where = f"{path}: [target.{name}]"
-    readers = {"edge": _edge, "chart": _chart, "scene": _scene}
-    kind = entry.get("kind") if isinstance(entry, dict) else None
+    readers: dict[str, Callable[..., Target]] = {"edge": _edge, "chart": _chart, "scene": _scene}
+    kind = str(entry.get("kind")) if isinstance(entry, dict) else ""
     if kind not in readers:
         raise InputError(f"{where}: kind is {kind!r}; it needs one of {', '.join(readers)}")
     try:
@@ -83,10 +84,8 @@ def _patches(entry: Mapping[str, Any], where: str, path: Path, table: Mapping[st
         item = check_keys(item, place, known=("name", "box", "reflectance"), needed=("box",))
         label = text(item, "name", place, str(i))
         value = item.get("reflectance", label if label in table else 0.0)
-        if isinstance(value, str) and value in table:
-            reflectance = table[value]
-        else:
-            reflectance = _reflectance(value, place, path)
+        known = isinstance(value, str) and value in table
+        reflectance = table[value] if known else _reflectance(value, place, path)
         patches.append(Patch(label, _box(item, "box", place), reflectance))
     return tuple(patches)
 

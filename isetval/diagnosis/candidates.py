@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from isetval.core.effect import Effect, ParameterInfo
 from isetval.effects import catalogue
 from isetval.fit import Free, Problem
 from isetval.model import CameraModel
-from isetval.prediction import RANDOM_SEEDS, SIGNATURE_SEEDS, Point
+from isetval.prediction import NOISE_ROLES, RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 
 Float = NDArray[np.float64]
 STRONG, WANTED = 80.0, 50.0
@@ -79,7 +80,7 @@ def candidates_for(model: CameraModel) -> tuple[Candidate, ...]:
         if any(f for f in cls.files()):
             continue
         effect = cls()
-        nulls = {p.name: p.null for p in parameters}
+        nulls: dict[str, Any] = {p.name: p.null for p in parameters}
         out.append(Candidate(name, replace(effect, **nulls), parameters, False))
     return tuple(out)
 
@@ -142,7 +143,7 @@ def _secants(problem: Problem, point: Point, wanted: Sequence[Candidate], steps:
             model = wanted[i].model_with(point.model)
             for key, value, h in zip(wanted[i].keys, wanted[i].nominal, steps[i], strict=True):
                 points.append(Point(model.with_values({key: value + h}), point.values))
-        vectors = iter(problem.predictor.derivative_vectors(points, seeds))
+        vectors = iter(problem.predictor.derivative_vectors(points, seeds, roles=NOISE_ROLES if random else None))
         here = next(vectors)
         for i in chosen:
             out[i] = np.nan_to_num(np.column_stack([(next(vectors) - here) / h for h in steps[i]]))

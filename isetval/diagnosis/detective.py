@@ -56,7 +56,7 @@ def diagnose(
     say: Say | None = None,
     with_next_captures: bool = True,
 ) -> Diagnosis:
-    """Which physical effect is missing from ``model``?
+    """Name the physical effect that is missing from ``model``.
 
     Parameters
     ----------

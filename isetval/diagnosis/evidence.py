@@ -39,7 +39,7 @@ def refit(
     """
     start_model = candidate.model_with(fitted.point.model)
     steps = np.abs(signature.steps)
-    free_effect = candidate.free(steps)
+    free_effect = candidate.free([float(s) for s in steps])
     low = np.array([f.low for f in free_effect])
     high = np.array([f.high for f in free_effect])
     reach = np.maximum(np.abs(signature.steps) * 1.5, candidate.tau)

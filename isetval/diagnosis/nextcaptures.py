@@ -1,4 +1,4 @@
-"""Which further capture would tell two candidates apart?
+"""Find the further capture that would tell two candidates apart.
 
 Each proposal adds shots to the plan; the signatures of both candidates and the nuisances' are simulated
 on those shots alone, and the profiled cosine of the pair is computed again with them.
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.errors import InputError
+from isetval.core.scene import EdgeTarget
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
 from isetval.diagnosis.candidates import Signature, signatures
@@ -74,10 +75,11 @@ def _edge_proposals(plan: Campaign, edges: Sequence[Shot]) -> Iterator[tuple[str
     yield "horizontal and vertical edges at the same places", _plan(plan, turned, "turned")
 
 
-def _turned(shot: Shot) -> object:
+def _turned(shot: Shot) -> EdgeTarget:
     target = shot.target
-    orientation = "horizontal" if getattr(target, "orientation", "vertical") == "vertical" else "vertical"
-    return replace(target, orientation=orientation)  # type: ignore[type-var]
+    assert isinstance(target, EdgeTarget)
+    orientation = "horizontal" if target.orientation == "vertical" else "vertical"
+    return replace(target, orientation=orientation)
 
 
 def _narrow_lights(plan: Campaign, shot: Shot) -> dict[str, Light]:

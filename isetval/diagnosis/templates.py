@@ -139,9 +139,9 @@ def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01) -> 
     for family in names:
         rows = problem.keep[families == family]
         block = problem.covariance[np.ix_(rows, rows)]
-        r = residual[rows]
-        values = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), r)
-        square, n = float(r @ values), rows.size
+        scale = np.sqrt(np.diag(block))
+        r = residual[rows] / scale
+        square, n = float(r @ np.linalg.solve(block / np.outer(scale, scale) + 1e-9 * np.eye(rows.size), r)), rows.size
         if chi2.sf(square / 1.21, n) * len(names) < alpha:
             out.append(f"{family} scatters {np.sqrt(square / n):.2f} times as much as its sigma says ({n} values)")
     return out

@@ -57,7 +57,7 @@ def measure_campaign(
     made: dict[str, Any] = {}
     for i, shot in enumerate(campaign.shots):
         try:
-            captures = campaign.captures[shot.name] if shot.name in campaign.captures else ()
+            captures = campaign.captures.get(shot.name, ())
             if not captures:
                 raise InputError("it has no captures (a plan cannot be measured; simulate it first)")
             for name, block in measure_shot(shot, captures, choices=choices):

@@ -187,7 +187,7 @@ class StraightEdge:
     def _edge_spread(self, transfer: Transfer, wavelength_nm: Float, reach_px: float) -> tuple[Float, Float]:
         sign = -1.0 if self.falling else 1.0
         n = int(2 * ESF_HALF_PX / ESF_STEP_PX)
-        frequency = np.fft.rfftfreq(n, ESF_STEP_PX)
+        frequency: Float = np.asarray(np.fft.rfftfreq(n, ESF_STEP_PX))
         coarse = np.unique(np.concatenate([np.linspace(0, 0.1, 65), np.linspace(0.1, 2.0, 153), np.linspace(2.0, 8.0, 97)]))
         fy, fx = sign * coarse * self.normal[0], sign * coarse * self.normal[1]
         otf = np.asarray(transfer(fx[None, :], fy[None, :], wavelength_nm[:, None]))

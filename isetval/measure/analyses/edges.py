@@ -18,6 +18,9 @@ from isetval.measure.edge import SfrResult, sfr
 
 ROLES = ("edge",)
 FREQUENCY_CY_PX = np.arange(0.05, 0.5001, 0.05)
+ROUGHNESS = 0.1
+"""Share of the variance that is taken as independent between frequencies: the smoother's covariance is
+nearly singular, and directions it calls impossible must not carry weight."""
 Float = NDArray[np.float64]
 
 
@@ -35,7 +38,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     made: dict[str, Any] = {}
     rows: list[Metric] = []
     blocks: list[Float] = []
-    places: dict[str, tuple[float, float, float]] = {}
+    places: dict[str, tuple[float, float]] = {}
     reasons: list[str] = []
     for channel in channels:
         known = choices.get(channel)
@@ -75,7 +78,7 @@ def _channel(
         rows.append(metric(conditions, f"edge_{name.removesuffix('_dn')}_level", value, max(spread, 1e-4), unit, channel=channel))
     correlation = np.eye(len(rows))
     k = len(sigma)
-    correlation[:k, :k] = covariance / np.outer(sigma, sigma)
+    correlation[:k, :k] = (1 - ROUGHNESS) * covariance / np.outer(sigma, sigma)
     np.fill_diagonal(correlation, 1.0)
     normal = math.radians(results[0].normal_deg)
     place = float(np.mean([r.edge_col_px * math.cos(normal) + r.edge_row_px * math.sin(normal) for r in results]))

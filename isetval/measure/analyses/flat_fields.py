@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 
 from isetval.core.campaign import Shot
-from isetval.core.capture import Capture
+from isetval.core.capture import Capture, plane_view
 from isetval.core.metric import Block, Metric
 from isetval.measure.conditions import metric, shot_conditions, window_label
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics
 
 ROLES = ("dark", "flat")
+PLATEAU_SIGMA_DN = 0.3  # a clipped plane has no noise of its own: rounding
+SATURATED = 0.5
+TOUCHED = 1e-3
 QUANTITIES = {
     "mean_dn": ("mean", "DN"),
     "trimmed_temporal_variance_dn2": ("temporal_variance", "DN^2"),
@@ -38,12 +41,23 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     shared: dict[str, list[tuple[int, float]]] = {}
     for plane, plane_statistics in statistics.items():
         if plane == "mosaic":
+            if any(_clipped(captures, other) > TOUCHED for other in statistics if other != "mosaic"):
+                continue
             rows += _neighbours(shot, conditions, plane_statistics)
             continue
         names = list(plane_statistics)
         here, there = [], []
+        clipped = _clipped(captures, plane)
+        if clipped > SATURATED:
+            level = plane_statistics["mean_dn"].value
+            rows.append(
+                metric(conditions, "plateau", level, PLATEAU_SIGMA_DN, "DN", channel=plane, family=f"{shot.role}_plateau")
+            )
+            continue
         for key, (name, unit) in QUANTITIES.items():
             quantity = plane_statistics[key]
+            if clipped > TOUCHED and name != "mean":
+                continue
             if not (math.isfinite(quantity.value) and math.isfinite(quantity.sigma)):
                 continue
             here.append(len(rows))
@@ -65,12 +79,20 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
                 )
             )
         links.append((plane, here, there))
-        rows += _counts(shot, conditions, plane, plane_statistics)
+        if clipped <= TOUCHED:
+            rows += _counts(shot, conditions, plane, plane_statistics)
     correlation = np.eye(len(rows))
     for plane, here, there in links:
         correlation[np.ix_(here, here)] = statistics[plane].correlation[np.ix_(there, there)]
     columns = {label: _column(entries, len(rows)) for label, entries in shared.items()}
     return Block(tuple(rows), correlation, columns)
+
+
+def _clipped(captures: Sequence[Capture], plane: str) -> float:
+    """Share of the plane's pixels at white or at code 0."""
+    white = captures[0].sensor.white_dn
+    views = [plane_view(capture, plane)[0] for capture in captures]
+    return float(np.mean([np.mean((view >= white) | (view == 0)) for view in views]))
 
 
 def _column(entries: list[tuple[int, float]], n: int) -> Any:
