@@ -28,9 +28,7 @@ def nominal():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return foreign.write_campaign(
-        tmp_path_factory.mktemp("foreign"), DATA, seed=11, sessions=("A",), draw=False, blur_chart=False
-    )
+    return foreign.write_campaign(tmp_path_factory.mktemp("foreign"), DATA, seed=11, sessions=("A",), draw=False)
 
 
 def test_it_imports_numpy_and_the_standard_library_only():
