@@ -41,6 +41,7 @@ class Level:
     spread_dn2: float
     variance_dn2: float
     variance_sigma_dn2: float
+    raw_variance_dn2: float
     pooled_variance_dn2: float
     row_temporal: Quantity
     frame_scatter: Quantity
@@ -166,6 +167,7 @@ def _level(
         variance_dn2=exact.value,
         variance_sigma_dn2=exact.sigma,
         rounded=variance < ROUNDED_BELOW_DN2,
+        raw_variance_dn2=variance,
         pooled_variance_dn2=variance * (frames - 1) / frames + sums.spread_dn2 + drift,
         row_temporal=row,
         frame_scatter=frame,
@@ -217,6 +219,8 @@ def _clipping(level: Level, levels: Sequence[Level]) -> Level:
         return _reject(level, "clipped_at_white")
     if level.clipped_low > 0.01:
         return _reject(level, "clipped_at_zero")
+    if not level.raw_variance_dn2 > 1e-6:
+        return _reject(level, "no_noise")
     if level.mean_dn <= 0:
         return _reject(level, "no_signal")
     return level
