@@ -9,7 +9,7 @@
 # diffraction x pixel with MTF50 near 0.3 cy/px, 14 bit; SNR is that of the bright side.
 # The seeds below were set aside: the estimator was developed on others.
 # Result: the printed table, `data/stored/slanted_edge.json`, `reports/slanted_edge_accuracy.png`.
-# Run time: about ten minutes on one core (`--quick`: one minute, nothing stored).
+# Run time: about two minutes on one idle core (`--quick`: one minute, nothing stored).
 
 # %%
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "data" / "stored" / "slanted_edge.json"
 PICTURE = ROOT / "reports" / "slanted_edge_accuracy.png"
 QUICK = "--quick" in sys.argv
-SEED = 1001 if QUICK else 88002
+SEED = 1001 if QUICK else 99003
 CLEAN = {"bright_dn": 52000.0, "black_dn": 1024.0, "white_dn": 65535.0}
 SNRS = (126, 53, 22, 11)
 
@@ -83,7 +83,11 @@ def curved(rng: np.random.Generator) -> tuple[EdgeTruth, dict, str]:
 def shaded(rng: np.random.Generator) -> tuple[EdgeTruth, dict, str]:
     along, across = signed(rng, 0.1, 0.4), signed(rng, 0.1, 0.4)
     which = rng.integers(3)
-    return truth(rng, airy(rng), shading_along=along * (which != 1), shading_across=across * (which != 0)), CLEAN, "G"
+    return (
+        truth(rng, airy(rng), shading_along=along * (which != 1), shading_across=across * (which != 0)),
+        CLEAN | {"bright_dn": 38000.0},
+        "G",
+    )
 
 
 def noisy(snr: float) -> Case:
@@ -123,24 +127,24 @@ class Condition:
 
 
 CONDITIONS = [
-    Condition("clean, 1.5-43.5 deg, sigma 0.3-1.8 px", angle_sweep, 300, {"worst": 0.10, "curve_p95": 0.001}),
-    Condition("clean, rational slopes", rational, 60, {"worst": 0.10, "curve_p95": 0.001}),
-    Condition("clean, diffraction", diffraction, 100, {"bias": 0.10, "curve_p95": 0.008}),
-    Condition("clean, defocus 0.25-1 wave", defocus, 60, {"bias": 0.2, "p95": 0.5, "curve_p95": 0.008}),
-    Condition("clean, curved 0.25-4 px", curved, 100, {"bias": 0.3, "sd": 0.14, "curve_p95": 0.010}),
-    Condition("clean, shaded 10-40 %", shaded, 100, {"bias": 0.25, "sd": 0.5, "curve_p95": 0.009}),
-    Condition("Bayer, clean", bayer(None, 100), 100, {"sd": 0.6, "curve_p95": 0.012}),
-    Condition("Bayer, 160 px, SNR 53", bayer(53, 160), 200, {"sd": 2.3, "curve_p95": 0.040}),
+    Condition("clean, 1.5-43.5 deg, sigma 0.3-1.8 px", angle_sweep, 100, {"worst": 0.10, "curve_p95": 0.001}),
+    Condition("clean, rational slopes", rational, 40, {"worst": 0.10, "curve_p95": 0.001}),
+    Condition("clean, diffraction", diffraction, 40, {"bias": 0.10, "curve_p95": 0.008}),
+    Condition("clean, defocus 0.25-1 wave", defocus, 30, {"bias": 0.2, "p95": 0.5, "curve_p95": 0.008}),
+    Condition("clean, curved 0.25-4 px", curved, 40, {"bias": 0.3, "sd": 0.14, "curve_p95": 0.010}),
+    Condition("clean, shaded 10-40 %", shaded, 50, {"bias": 0.25, "sd": 0.5, "curve_p95": 0.009}),
+    Condition("Bayer, clean", bayer(None, 100), 40, {"sd": 0.6, "curve_p95": 0.012}),
+    Condition("Bayer, 160 px, SNR 53", bayer(53, 160), 60, {"sd": 2.3, "curve_p95": 0.040}),
     *[
-        Condition(f"SNR {snr}", noisy(snr), 400, {"sd": sd, "bias": bias, "curve_p95": p95})
+        Condition(f"SNR {snr}", noisy(snr), 120, {"sd": sd, "bias": bias, "curve_p95": p95})
         for snr, sd, bias, p95 in zip(
             SNRS, (0.37, 1.0, 1.4, 3.9), (0.3, 0.4, 0.6, 1.0), (0.008, 0.016, 0.035, 0.075), strict=True
         )
     ],
-    Condition("side 40 px, SNR 126", sized(40), 100, {"sd": 0.6}),
-    Condition("side 60 px, SNR 126", sized(60), 100, {"sd": 0.45}),
-    Condition("side 400 px, SNR 126", sized(400), 30, {"sd": 0.13}),
-    Condition("97 % of full scale, SNR 126", near_saturation, 100, {"sd": 0.35}),
+    Condition("side 40 px, SNR 126", sized(40), 40, {"sd": 0.6}),
+    Condition("side 60 px, SNR 126", sized(60), 40, {"sd": 0.45}),
+    Condition("side 400 px, SNR 126", sized(400), 10, {"sd": 0.13}),
+    Condition("97 % of full scale, SNR 126", near_saturation, 40, {"sd": 0.35}),
 ]
 
 

@@ -168,12 +168,19 @@ def _angle(flags: dict[str, str], warnings: dict[str, str], samples: Samples, di
 def _clipping(flags: dict[str, str], warnings: dict[str, str], samples: Samples, estimate: Estimate, distance: Float) -> None:
     bright = distance > 2 * estimate.fit.width_px
     share = float(np.mean(samples.clipped_high[bright])) if bright.any() else 0.0
-    if share > MAX_CLIPPED:
-        flags["saturated"] = f"{100 * share:.0f} % of the bright side is at the white level; expose less"
+    if share > MAX_CLIPPED or (share > 0 and _clipped_patch(samples.clipped_high)):
+        flags["saturated"] = f"{100 * share:.1f} % of the bright side is at the white level; expose less"
     dark = distance < -2 * estimate.fit.width_px
     low = float(np.mean(samples.clipped_low[dark])) if dark.any() else 0.0
     if low > MAX_CLIPPED and estimate.noise.dark > (0.01 * estimate.fit.step) ** 2:
         warnings["clipped_black"] = f"{100 * low:.0f} % of the dark side is at raw zero; its noise is cut and its mean biased up"
+
+
+def _clipped_patch(clipped: NDArray[np.bool_]) -> bool:
+    """Whether some patch of 8 x 8 samples is clipped for the most part: no tail of the noise but a level cut off."""
+    rows, cols = (n // 8 for n in clipped.shape)
+    patches = clipped[: 8 * rows, : 8 * cols].reshape(rows, 8, cols, 8).sum(axis=(1, 3))
+    return bool(patches.max() > 40)
 
 
 def _sides(flags: dict[str, str], estimate: Estimate, distance: Float) -> None:
