@@ -238,32 +238,30 @@ CHECKS: tuple[Callable[[], list[Entry]], ...] = (
 )
 
 
-def main(path: Path = STORED) -> int:
-    """Run all checks, print a line each, store them; 1 if one is missed."""
+def main(groups: list[str], path: Path = STORED) -> int:
+    """Run the named groups (all by default), print a line each, store them beside the others; 1 if one is missed."""
     choice = choose_variant("auto")
     versions = {name: __import__("importlib.metadata").metadata.version(name) for name in ("mitsuba", "drjit", "numpy")}
-    result: dict[str, Any] = {
-        "command": "python tests/scenes/simulator_checks.py",
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "versions": {
-            **versions,
-            "python": platform.python_version(),
-            "variant": choice.variant,
-            "library": Path(choice.library).name,
-        },
-        "checks": [],
-    }
+    versions |= {"python": platform.python_version(), "variant": choice.variant, "library": Path(choice.library).name}
+    known = json.loads(path.read_text())["checks"] if path.is_file() else []
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
     for check in CHECKS:
+        group = check.__name__.removeprefix("check_")
+        if groups and group not in groups:
+            continue
         start = time.perf_counter()
-        for line in check():
-            line["seconds_of_group"] = round(time.perf_counter() - start, 1)
-            result["checks"].append(line)
+        lines = check()
+        seconds = round(time.perf_counter() - start, 1)
+        for line in lines:
+            line |= {"group": group, "date": today, "seconds_of_group": seconds}
             sigma = f" +- {line['sigma']:.2g}" if line["sigma"] else ""
             verdict = "ok    " if line["passed"] else "MISSED"
             print(f"{verdict} {line['check']}: {line['found']:.4g}{sigma}, at most {line['target']:g}", flush=True)
-    path.write_text(json.dumps(result, indent=1) + "\n")
-    return 0 if all(line["passed"] for line in result["checks"]) else 1
+        known = [line for line in known if line["group"] != group] + lines
+        command = "python tests/scenes/simulator_checks.py [GROUP...]"
+        path.write_text(json.dumps({"command": command, "date": today, "versions": versions, "checks": known}, indent=1) + "\n")
+    return 0 if all(line["passed"] for line in known) else 1
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(main(sys.argv[1:]))
