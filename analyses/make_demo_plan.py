@@ -26,13 +26,18 @@ HERE = Path(__file__).resolve().parent.parent / "data" / "demo"
 NM = np.arange(390.0, 711.0, 5.0)
 SESSIONS = ("A", "B")
 CENTER = (1464, 1968)
-DARK_S = (0.001, 0.1, 0.7, 4.0)
-FLAT_E = (60, 180, 450, 900, 1700, 2800, 4000, 5000)
-LEVELS = (0.2, 0.5, 1.0)
+DARK_S = (0.001, 0.5, 4.0)
+FLAT_E = (60, 200, 600, 1500, 3000, 4500)
+LEVELS = (0.2, 0.6)
 FIELD = [(0, 0), (0.55, 0), (-0.55, 0), (0, 0.6), (0, -0.6), (0.97, 0.97), (-0.97, 0.97), (0.97, -0.97), (-0.97, -0.97)]
-EDGE_POINTS = {"center": (0.0, 0.0), "middle": (0.5, 0.4), "outer": (-0.75, -0.8)}
+EDGE_POINTS = {"center": (0.0, 0.0), "outer": (-0.75, -0.8)}
 EDGE_ANGLES = {"vertical": 5.2, "horizontal": -4.6}
-FOCUS_UM = {"center": (-8, 0, 8), "middle": (0,), "outer": (-8, 0, 8)}
+FOCUS_UM = {
+    ("center", "vertical"): (-8, 0, 8),
+    ("center", "horizontal"): (0,),
+    ("outer", "vertical"): (0, 8),
+    ("outer", "horizontal"): (0,),
+}
 NOTES = "own formula of the project, see analyses/make_demo_plan.py and isetval/scenes/own_spectra.py; licence BSD-3-Clause"
 
 
@@ -102,7 +107,14 @@ NUISANCES = [
 
 
 def nuisance(parameter, sigma, unit, scope, roles, remark, light=""):
-    lines = ["[[nuisance]]", f"# {remark}", f'parameter = "{parameter}"', f"sigma = {sigma}", f'unit = "{unit}"', f'scope = "{scope}"']
+    lines = [
+        "[[nuisance]]",
+        f"# {remark}",
+        f'parameter = "{parameter}"',
+        f"sigma = {sigma}",
+        f'unit = "{unit}"',
+        f'scope = "{scope}"',
+    ]
     return "\n".join([*lines, *([f"roles = {roles}"] if roles else []), *([f'lights = ["{light}"]'] if light else [])]) + "\n"
 
 
@@ -125,10 +137,10 @@ def targets() -> list[str]:
         )
     boxes = []
     for i, name in enumerate(chart_reflectances()):
-        row, col = 6 + 36 * (i // 6), 6 + 36 * (i % 6)
-        boxes.append(f'  {{ name = "{name}", box = [{row}, {row + 32}, {col}, {col + 32}], reflectance = "{name}" }},')
+        row, col = 6 + 28 * (i // 6), 6 + 28 * (i % 6)
+        boxes.append(f'  {{ name = "{name}", box = [{row}, {row + 24}, {col}, {col + 24}], reflectance = "{name}" }},')
     patches = "\n".join(["patch = [", *boxes, "]"])
-    return [*out, f'[target.chart]\nkind = "chart"\nreflectance = "chart.csv"\nsurround = 0.1\nmargin_px = 4\n{patches}\n']
+    return [*out, f'[target.chart]\nkind = "chart"\nreflectance = "chart.csv"\nsurround = 0.1\nmargin_px = 3\n{patches}\n']
 
 
 # %%
@@ -146,15 +158,15 @@ def window_at(x: float, y: float, rows: int, cols: int) -> tuple[int, int, int, 
 
 
 def flats(s: str) -> list[str]:
-    middle = (*CENTER, 96, 96)
+    middle = (*CENTER, 80, 80)
     light = {"light": "sphere"}
-    out = [shot(f"{s}_dark{i}", "dark", s, f"{s}_dark", middle, t, 6) for i, t in enumerate(DARK_S)]
-    out += [shot(f"{s}_flat{i}", "flat", s, f"{s}_series", middle, seconds(e), 4, **light) for i, e in enumerate(FLAT_E)]
+    out = [shot(f"{s}_dark{i}", "dark", s, f"{s}_dark", middle, t, 5) for i, t in enumerate(DARK_S)]
+    out += [shot(f"{s}_flat{i}", "flat", s, f"{s}_series", middle, seconds(e), 3, **light) for i, e in enumerate(FLAT_E)]
     time_s = seconds(3500)
     for i, level in enumerate(LEVELS):
-        out.append(shot(f"{s}_level{i}", "flat", s, f"{s}_level{i}", middle, time_s, 4, **light, light_level=level))
+        out.append(shot(f"{s}_level{i}", "flat", s, f"{s}_level{i}", middle, time_s, 3, **light, light_level=level))
     again = {"light_level": LEVELS[1], "repeat_of": f"{s}_level1"}
-    out.append(shot(f"{s}_level1r", "flat", s, f"{s}_level1r", middle, time_s, 4, **light, **again))
+    out.append(shot(f"{s}_level1r", "flat", s, f"{s}_level1r", middle, time_s, 3, **light, **again))
     for i, point in enumerate(FIELD):
         out.append(shot(f"{s}_field{i}", "flat", s, f"{s}_field", window_at(*point, 64, 64), seconds(3500), 2, **light))
     return out
@@ -166,7 +178,7 @@ def edges(s: str) -> list[str]:
         for orientation in EDGE_ANGLES:
             setup = f"{s}_edge_{point}_{orientation[0]}"
             more = {"light": "sphere", "target": f"edge_{orientation}"}
-            for focus in FOCUS_UM[point]:
+            for focus in FOCUS_UM[point, orientation]:
                 name = f"{setup}_{'m' if focus < 0 else 'p' if focus > 0 else 'z'}{abs(focus)}"
                 out.append(shot(name, "edge", s, setup, window_at(x, y, 80, 80), seconds(4200), 1, **more, focus_um=float(focus)))
     again = {"light": "sphere", "target": "edge_vertical", "focus_um": 0.0, "repeat_of": f"{s}_edge_center_v_z0"}
@@ -175,9 +187,9 @@ def edges(s: str) -> list[str]:
 
 
 def charts(s: str) -> list[str]:
-    window = window_at(-0.05, 0.03, 152, 224)
+    window = window_at(-0.05, 0.03, 120, 176)
     return [
-        shot(f"{s}_chart_{light}", "chart", s, f"{s}_chart_{light}", window, seconds(4500), 2, light=light, target="chart")
+        shot(f"{s}_chart_{light}", "chart", s, f"{s}_chart_{light}", window, seconds(4500), 1, light=light, target="chart")
         for light in lights()
     ]
 

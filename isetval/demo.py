@@ -53,7 +53,15 @@ def draw_hidden(nominal: CameraModel, seed: int) -> Effect:
     return standing.changed(**moved) if standing is not None else make_effect(name, moved, "demo")
 
 
-def run_demo(seed: int, *, folder: Path, jobs: int = 1, step: Say | None = None, say: Say | None = None) -> dict[str, Any]:
+def run_demo(
+    seed: int,
+    *,
+    folder: Path,
+    jobs: int = 1,
+    step: Say | None = None,
+    say: Say | None = None,
+    plan: Campaign | None = None,
+) -> dict[str, Any]:
     """Run the loop and leave everything it made in ``folder``.
 
     Parameters
@@ -66,6 +74,8 @@ def run_demo(seed: int, *, folder: Path, jobs: int = 1, step: Say | None = None,
         Worker processes.
     step, say : callable, optional
         Told each step of the story, and what is being computed.
+    plan : Campaign, optional
+        In place of the embedded one; needs two measurement sessions.
 
     Returns
     -------
@@ -85,7 +95,7 @@ def run_demo(seed: int, *, folder: Path, jobs: int = 1, step: Say | None = None,
         raise InputError(f"seed is {seed}; it needs 0 or more")
     _make_room(folder)
     nominal = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
-    plan = isetval.load_campaign(data_folder() / "demo" / "plan.toml")
+    plan = plan or isetval.load_campaign(data_folder() / "demo" / "plan.toml")
     hidden = draw_hidden(nominal, seed)
     step(f"1  shooting {len(plan.shots)} set-ups with a camera in which one effect is hidden (seed {seed})")
     campaign = _shoot(nominal.with_effect(hidden), plan, seed, folder)

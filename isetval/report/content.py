@@ -65,7 +65,7 @@ def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "between": _between(measured),
         "provenance": [_provenance(r) for r in results],
         "csv": _csv(by_model),
-        "json": json.dumps([_slim(r) for r in results], allow_nan=False).replace("</", "<\\/"),
+        "json": json.dumps([_slim(r) for r in results], allow_nan=False).replace("<", "\\u003c"),
     }
 
 
@@ -372,7 +372,7 @@ def _csv(by_model: Sequence[Sequence[Row]]) -> str:
 def _cell(value: Any) -> str:
     if value is None:
         return ""
-    words = f"{value:.7g}" if isinstance(value, float) else str(value)
+    words = (f"{value:.7g}" if isinstance(value, float) else str(value)).replace("<", "‹")
     return f'"{words}"' if "," in words or '"' in words else words
 
 

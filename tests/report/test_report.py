@@ -1,0 +1,159 @@
+"""The report: what the first screen says, self-contained, and alive in a browser."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from isetval.core.errors import InputError
+from isetval.report import report_html, write_report
+
+CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
+
+
+def _row(model, family, z, n, error=0.01):
+    return {"model": model, "family": family, "role": "prediction", "n": n, "mean_square_z": z, "rms_relative_error": error}
+
+
+def _metric(model, family, z, i, **more):
+    row = {
+        "model": model, "name": "mean", "family": family, "channel": ("R", "Gr", "Gb", "B")[i % 4], "shot": f"shot{i // 4}",
+        "role": "flat", "setup": "s", "region": "", "patch": "", "unit": "DN", "measured": 100.0 + i, "simulated": 100.0 + i - z,
+        "sigma": 1.0, "z": z, "frequency_cy_px": None, "exposure_s": 0.01, "level": 1.0, "field_x_mm": 0.3 * i, "field_y_mm": 0.0,
+    }  # fmt: skip
+    return row | more
+
+
+@pytest.fixture
+def results():
+    """A comparison of two models, the first wrong in flat_mean by planted amounts, and the diagnosis that explains it."""
+    rng = np.random.default_rng(0)
+    table = []
+    for model, size in (("nominal", 6.0), ("mended", 1.0)):
+        table += [_metric(model, "flat_mean", float(size * rng.standard_normal()), i) for i in range(24)]
+        table += [_metric(model, "dark_mean", float(rng.standard_normal()), i, role="dark") for i in range(24)]
+    ladder = [
+        _row("nominal", "all", 18.5, 48), _row("nominal", "flat_mean", 36.0, 24), _row("nominal", "dark_mean", 1.02, 24),
+        _row("mended", "all", 1.01, 48), _row("mended", "flat_mean", 0.98, 24), _row("mended", "dark_mean", 1.02, 24),
+    ]  # fmt: skip
+    comparison = {
+        "kind": "compare", "campaign": "lab", "models": ["nominal", "mended"], "table": table, "ladder": ladder, "settings": {},
+        "gate": {"run": True, "failed": False, "mean_square_z": 1.04, "n": 30, "allowed": 0.7}, "notes": [],
+        "nuisances": {"nominal": {"light_level@set-up:s": [0.01, 0.002]}, "mended": {"light_level@set-up:s": [0.012, 0.002]}},
+    }  # fmt: skip
+    parameter = {"value": 0.101, "sigma": 0.004, "unit": "1", "nominal": 0.0, "delta": 0.101}
+    effect = {"name": "vignetting", "parameters": {"v": parameter}, "posterior": 0.97, "equivalent": ["cos4"], "dchi2": 800.0}
+    candidate = {
+        "name": "vignetting", "dchi2": 800.0, "dof": 1, "p_corrected": 1e-9, "posterior": 0.97, "log_evidence": 1.0,
+        "observable": True,
+        "estimate": {"v": {"value": 0.1, "sigma": 0.004}},
+    }  # fmt: skip
+    diagnosis = {
+        "kind": "diagnose", "verdict": "attributed", "effects": [effect], "candidates": [candidate], "unobservable": ["lag"],
+        "next_captures": [], "leftover": None, "ladder": ladder, "gate": comparison["gate"],
+        "campaign": "lab", "model": "nominal", "notes": [],
+    }  # fmt: skip
+    return [diagnosis, comparison]
+
+
+def _text(page):
+    body = re.sub(r"<(script|style)\b.*?</\1>", " ", page, flags=re.S)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body))
+
+
+def test_the_first_screen_answers_the_four_questions(results):
+    page = report_html(results)
+    words = _text(page.split("<h2>")[0])
+    assert "The model lacks vignetting." in words
+    assert re.search(r"Does it match\? nominal 18.50 .* → mended 1.01", words)
+    assert "Where not?" in words
+    assert re.search(r"flat mean 36\.0", words)
+    assert "vignetting: v 0.1010 ± 0.0040" in words
+    assert "cannot tell it from cos4" in words
+    assert "How the error fell" in words
+
+
+def test_the_page_asks_nothing_of_the_network(results, tmp_path):
+    page = write_report(results, tmp_path / "r.html").read_text()
+    assert not re.findall(r"(?:src|href|action)\s*=\s*[\"'](?!#|data:)[^\"']+", page)
+    assert not re.findall(r"url\((?!data:)|@import|https?://|//[a-z0-9.-]+\.[a-z]{2,}/", page)
+
+
+def test_numbers_are_embedded_for_download(results):
+    page = report_html(results)
+    csv = re.search(r'id="data-csv">(.*?)</script>', page, re.S)[1].strip().splitlines()
+    assert len(csv) == 1 + len(results[1]["table"])
+    content = json.loads(re.search(r'id="data-json">(.*?)</script>', page, re.S)[1])
+    assert content[0]["verdict"] == "attributed"
+
+
+def test_a_single_comparison_and_a_single_measurement_make_pages(results):
+    assert "mended agrees with the captures." in _text(report_html(results[1:]))
+    one = {"name": "gain", "value": 0.17, "sigma": 0.001, "unit": "DN/e-", "channel": "R"}
+    measured = {"kind": "measure", "metrics": [one], "skipped": [{"file": "x.dng", "reason": "broken"}], "notes": []}
+    words = _text(report_html([measured]))
+    assert "0.1700 ± 0.0010 DN/e-" in words
+    assert "left out: x.dng: broken" in words
+
+
+def test_two_measurements_are_set_side_by_side():
+    def made(value):
+        rows = [{"name": "gain", "value": value, "sigma": 0.003, "unit": "DN/e-", "channel": "R"}]
+        return {"kind": "measure", "metrics": rows, "skipped": [], "notes": []}
+
+    words = _text(report_html([made(0.17), made(0.18)]))
+    # (0.18 - 0.17) / sqrt(2 * 0.003^2) = 2.357
+    assert "+2.4" in words
+
+
+def test_hostile_names_do_not_become_markup(results):
+    results[1]["campaign"] = results[0]["campaign"] = "<script>alert(1)</script>"
+    results[1]["table"][0]["shot"] = '"><img src=x onerror=alert(1)>'
+    results[1]["table"][0]["z"] = 9.0
+    page = report_html(results)
+    assert "<script>alert" not in page
+    assert "<img" not in re.sub(r'<script type="text/plain".*?</script>', "", page, flags=re.S)
+
+
+def test_results_that_cannot_be_drawn_are_refused():
+    with pytest.raises(InputError, match="effects"):
+        report_html([{"kind": "effects"}])
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_a_click_changes_the_plots_in_a_browser(results, tmp_path):
+    page = report_html(results)
+    probe = """
+<script>
+window.addEventListener("load", function () {
+  var shown = function () { return document.querySelectorAll('.layer:not(.off)[data-model="0"]').length; };
+  var before = shown();
+  document.querySelector('[data-show="0"]').click();
+  document.title = "layers " + before + " " + shown();
+});
+</script>
+</body>"""
+    path = tmp_path / "r.html"
+    path.write_text(page.replace("</body>", probe))
+    words = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--user-data-dir={tmp_path / 'p'}",
+        "--dump-dom",
+        path.as_uri(),
+    ]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    except subprocess.TimeoutExpired:
+        pytest.skip("Chromium does not start on this machine")
+    found = re.search(r"<title>layers (\d+) (\d+)</title>", done.stdout)
+    if found is None and not done.stdout.strip():
+        pytest.skip("Chromium does not start on this machine")
+    assert found is not None
+    assert int(found[1]) == 0
+    assert int(found[2]) > 0

@@ -1,0 +1,98 @@
+"""The demonstration: what is hidden is found, the error falls, the report is there."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.cli import main
+from isetval.demo import HIDDEN, draw_hidden, run_demo
+from isetval.tomlfile import data_folder
+
+SMALL = (1464, 1968, 48, 48)
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return isetval.load_campaign(data_folder() / "demo" / "plan.toml")
+
+
+def test_the_plan_has_two_sessions_with_the_same_set_ups(plan):
+    assert plan.is_plan
+    assert plan.sessions == ("A", "B")
+    first, second = (plan.session(name).shots for name in plan.sessions)
+    assert [(s.role, s.window, s.exposure, s.frames) for s in first] == [(s.role, s.window, s.exposure, s.frames) for s in second]
+    assert {s.role for s in first} == {"dark", "flat", "edge", "chart"}
+    assert sum(s.repeat_of is not None for s in first) == 2
+
+
+def test_no_shot_of_the_plan_saturates(plan, nominal):
+    brightest = [s for s in plan.session("A").shots if s.role in ("flat", "chart")]
+    for shot in brightest:
+        top = nominal.expected(shot, lights=plan.lights).max()
+        # three sigma of level (2 %) and of shot noise below the white level
+        assert top * (1 + 3 * 0.02) + 3 * np.sqrt(0.17 * top) < nominal.sensor.white_dn, shot.name
+
+
+def test_every_hidden_effect_can_be_drawn_and_differs_from_the_nominal_camera(nominal):
+    for seed in range(len(HIDDEN)):
+        hidden = draw_hidden(nominal, seed)
+        name, values = HIDDEN[seed]
+        assert hidden.name == name
+        assert nominal.with_effect(hidden).digest() != nominal.digest()
+        for parameter, listed in values.items():
+            standing = nominal.effect(name)
+            start = standing.values()[parameter] if standing is not None else 0.0
+            assert 0.8 <= (hidden.values()[parameter] - start) / (listed - start) <= 1.25
+    assert draw_hidden(nominal, 3).values() != draw_hidden(nominal, 3 + len(HIDDEN)).values()
+
+
+def _small(plan):
+    """Darks and four flats of each session in small windows: a loop of seconds."""
+    names = [s.name for s in plan.shots if s.role == "dark" or s.name[1:] in ("_flat1", "_flat2", "_flat4", "_flat5")]
+    small = plan.only(names)
+    return replace(small, shots=tuple(replace(s, window=SMALL) for s in small.shots))
+
+
+def test_the_loop_finds_what_is_hidden_and_the_error_falls(plan, tmp_path):
+    seed = [name for name, _ in HIDDEN].index("read_noise")
+    steps = []
+    result = run_demo(seed, folder=tmp_path / "demo", plan=_small(plan), step=steps.append)
+    assert len(steps) == 6
+    assert {"hidden", "before", "diagnosis", "ladder", "report"} <= result.keys()
+    named = result["diagnosis"]["effects"]
+    assert any("read_noise" in (e["name"], *e["equivalent"]) for e in named)
+    whole = {row["model"]: row for row in result["after"]["ladder"] if row["family"] == "all"}
+    before, after = whole["pixel4a"], whole[result["added"]]
+    # chi2 of n metrics: the mean square of the mended model lies within five standard deviations of 1, the nominal one above
+    assert abs(after["mean_square_z"] - 1) < 5 * np.sqrt(2 / after["n"])
+    assert before["mean_square_z"] > after["mean_square_z"] + 0.1
+    page = (tmp_path / "demo" / "report.html").read_text()
+    assert "read noise" in page
+    assert json.loads((tmp_path / "demo" / "diagnosis.json").read_text())["verdict"] == result["diagnosis"]["verdict"]
+    assert isetval.load_model(tmp_path / "demo" / f"{result['added']}.toml").effect(named[0]["name"]) is not None
+    assert len(list((tmp_path / "demo" / "captures").glob("*.dng"))) == sum(s.frames for s in _small(plan).shots)
+
+
+def test_a_folder_with_other_things_is_left_alone(tmp_path, capsys):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    assert main(["demo", "-o", str(tmp_path / "mine")]) == 3
+    assert "another folder" in capsys.readouterr().err
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(len(HIDDEN)))
+def test_the_whole_demo_finds_every_hidden_effect(seed, tmp_path):
+    result = run_demo(seed, folder=tmp_path / "demo", jobs=2)
+    hidden = result["hidden"]["name"]
+    assert any(hidden in (e["name"], *e["equivalent"]) for e in result["diagnosis"]["effects"])
+    assert result["peak_memory_mb"] is None or result["peak_memory_mb"] < 2000
