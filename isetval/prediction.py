@@ -167,18 +167,22 @@ class Predictor:
         return np.array([place.get(key, -1) for key in self.keys])
 
     def _scatter(self, values: Float, covariance: Float) -> dict[str, float]:
-        """Ratio of the replicas' scatter to the stated sigma per family, drawn towards 1 by 40 numbers."""
-        variance = np.diag(covariance)
-        square = values.var(axis=0, ddof=1) / np.where(variance > 0, variance, np.nan)
+        """Ratio of the replicas' scatter to the stated covariance per family (whitened), drawn towards 1 by 40 numbers."""
         families = np.array([m.family for m in self.table.metrics])
+        variance = np.diag(covariance)
+        good = np.isfinite(variance) & (variance > 0) & np.isfinite(values).all(axis=0)
+        residual = values - values.mean(axis=0)
         out = {}
         for family in dict.fromkeys(families):
-            part = square[(families == family) & np.isfinite(square)]
-            dof = part.size * (len(values) - 1)
             if family.endswith(("outliers", "noisy_pixels")):
                 out[str(family)] = 1.0
                 continue
-            out[str(family)] = float(np.sqrt((part.sum() * (len(values) - 1) + 40) / (dof + 40)))
+            rows = np.flatnonzero((families == family) & good)
+            scale = np.sqrt(variance[rows])
+            block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale) + 1e-6 * np.eye(rows.size)
+            part = (residual[:, rows] / scale).T
+            square = float(np.sum(part * np.linalg.solve(block, part))) if rows.size else 0.0
+            out[str(family)] = float(np.sqrt((square + 40) / (rows.size * (len(values) - 1) + 40)))
         return out
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
@@ -201,6 +205,8 @@ class Predictor:
         if self.jobs == 1 or len(jobs) < 4:
             return [function(*job) for job in jobs]
         if not self._pools:
+            for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+                os.environ.setdefault(name, "1")  # read by the workers when they start: one thread each
             spawn = multiprocessing.get_context("spawn")
             self._pools = [ProcessPoolExecutor(1, mp_context=spawn) for _ in range(self.jobs)]
         names = [shot.name for shot in self.shots]
