@@ -52,7 +52,7 @@ def planck(kelvin: float) -> np.ndarray:
 def lights() -> dict[str, np.ndarray]:
     """Three lights: a warm white LED (the sphere too), a black body at 6500 K, narrow bands as of a tube."""
     tube = sum(a * np.exp(-0.5 * ((NM - c) / w) ** 2) for a, c, w in ((1, 546, 7), (0.8, 611, 8), (0.5, 436, 7), (0.25, 490, 12)))
-    return {"sphere": lamp(0.002).at(NM), "sky": 0.002 * planck(6500.0), "tube": 0.0035 * np.asarray(tube)}
+    return {"sphere": lamp(0.002).at(NM), "sky": 0.0013 * planck(6500.0), "tube": 0.0035 * np.asarray(tube)}
 
 
 def write_spectra(name: str, columns: dict[str, np.ndarray], unit: str) -> None:

@@ -108,7 +108,7 @@ def run_demo(
         "before": before.to_json(),
         "diagnosis": {"model": nominal.name, "campaign": campaign.name, **diagnosis.to_json()},
         "after": after.to_json(),
-        "ladder": [vars(row) for row in diagnosis.ladder],
+        "ladder": [vars(row) for row in after.ladder],
         "report": str((folder / "report.html").resolve()),
         "folder": str(folder),
         "added": model.name if model is not nominal else None,

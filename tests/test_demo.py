@@ -62,20 +62,20 @@ def _small(plan):
 
 
 def test_the_loop_finds_what_is_hidden_and_the_error_falls(plan, tmp_path):
-    seed = [name for name, _ in HIDDEN].index("read_noise")
+    seed = [name for name, _ in HIDDEN].index("black_level")
     steps = []
     result = run_demo(seed, folder=tmp_path / "demo", plan=_small(plan), step=steps.append)
     assert len(steps) == 6
     assert {"hidden", "before", "diagnosis", "ladder", "report"} <= result.keys()
     named = result["diagnosis"]["effects"]
-    assert any("read_noise" in (e["name"], *e["equivalent"]) for e in named)
+    assert any("black_level" in (e["name"], *e["equivalent"]) for e in named)
     whole = {row["model"]: row for row in result["after"]["ladder"] if row["family"] == "all"}
     before, after = whole["pixel4a"], whole[result["added"]]
     # chi2 of n metrics: the mean square of the mended model lies within five standard deviations of 1, the nominal one above
     assert abs(after["mean_square_z"] - 1) < 5 * np.sqrt(2 / after["n"])
     assert before["mean_square_z"] > after["mean_square_z"] + 0.1
     page = (tmp_path / "demo" / "report.html").read_text()
-    assert "read noise" in page
+    assert "black level" in page
     assert json.loads((tmp_path / "demo" / "diagnosis.json").read_text())["verdict"] == result["diagnosis"]["verdict"]
     assert isetval.load_model(tmp_path / "demo" / f"{result['added']}.toml").effect(named[0]["name"]) is not None
     assert len(list((tmp_path / "demo" / "captures").glob("*.dng"))) == sum(s.frames for s in _small(plan).shots)

@@ -246,7 +246,7 @@ def _in_sample(diagnosis: Mapping[str, Any] | None) -> list[str]:
         for r in (diagnosis or {}).get("ladder", ())
         if r["role"] == "calibration" and r["family"] == "all" and r["mean_square_z"] is not None
     ]
-    return [f"{row['model']} {row['mean_square_z']:.3f}" for row in rows]
+    return [f"{row['mean_square_z']:.3f} {'after' if i else 'before'}" for i, row in enumerate(rows)]
 
 
 def _views(by_model: Sequence[Sequence[Row]]) -> list[dict[str, str]]:
