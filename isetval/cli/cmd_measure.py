@@ -32,7 +32,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--black",
         choices=("auto", "tag", "optical"),
-        help="black level: optical black where it differs from the tag (auto, default for one file) or the tag (default for more)",
+        help="black level: optical black where it differs from the tag (auto: default for one file) or the tag (for several)",
     )
     p.add_argument("--raw-shape", metavar="ROWSxCOLS", type=raw_shape, help="the files are headerless raw of this size")
     p.add_argument("--cfa", help="colour pattern of headerless raw: RGGB, BGGR, GRBG, GBRG or MONO")
