@@ -212,14 +212,13 @@ def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, tag: str =
         up = f.step if value + f.step <= f.high else -f.step
         ahead = next(vectors)
         column = (ahead - next(vectors)) / (2 * up) if _symmetric(f) else (ahead - here) / up
-        fresh[f.key] = problem.whitened(column)
+        fresh[f.key] = column
         if f.is_nuisance:
             problem.columns[(tag, f.key)] = fresh[f.key]
-    return (
-        np.column_stack([fresh[f.key] if f.key in fresh else problem.columns[(tag, f.key)] for f in free])
-        if free
-        else np.zeros((problem.keep.size, 0))
-    )
+    if not free:
+        return np.zeros((problem.keep.size, 0))
+    raw = [fresh[f.key] if f.key in fresh else problem.columns[(tag, f.key)] for f in free]
+    return problem.whitened(np.column_stack(raw))
 
 
 def _symmetric(f: Free) -> bool:

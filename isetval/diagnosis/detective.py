@@ -27,6 +27,7 @@ MAX_EFFECTS = 4
 SHORT_LIST = 5
 SAME_RHO = 0.95
 WORTH_A_REFIT = 0.5
+WORTH_ON_HOLDOUT = 0.3
 Say = Callable[[str], None]
 
 
@@ -34,6 +35,8 @@ Say = Callable[[str], None]
 class _Case:
     """The state of one investigation."""
 
+    prepared: Prepared
+    held: Prepared | None
     problem: Problem
     fitted: Fit
     candidates: tuple[Candidate, ...]
@@ -95,10 +98,14 @@ def diagnose(
         gate = repeat_gate(prepared)
         if gate["failed"]:
             return _gate_failed(model, gate, prepared)
-        case = _open_case(prepared, model, say)
-        leftovers = _investigate(case, say)
         held = prepare(model, holdout, jobs=jobs, say=say) if holdout is not None else None
-        return _report(case, prepared, held, gate, leftovers, say, with_next_captures)
+        try:
+            case = _open_case(prepared, model, say, held)
+            leftovers = _investigate(case, say)
+            return _report(case, prepared, held, gate, leftovers, say, with_next_captures)
+        finally:
+            if held is not None:
+                held.close()
     finally:
         prepared.close()
 
@@ -108,7 +115,7 @@ def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared
     return Diagnosis("gate_failed", (), (), (), (), words, (), gate, model, model, notes=prepared.table.notes)
 
 
-def _open_case(prepared: Prepared, model: CameraModel, say: Say) -> _Case:
+def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> _Case:
     problem = prepared.problem
     say("fitting the nuisances of the nominal model")
     fitted = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
@@ -116,7 +123,7 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say) -> _Case:
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     made = signatures(problem, Point(model), wanted, project=frame.basis[: frame.rows])
-    return _Case(problem, fitted, wanted, {s.candidate.name: s for s in made}, frame0=frame)
+    return _Case(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame0=frame)
 
 
 def _investigate(case: _Case, say: Say) -> list[Finding]:
@@ -137,11 +144,42 @@ def _investigate(case: _Case, say: Say) -> list[Finding]:
         say("refitting " + ", ".join(c.name for c in short))
         refits = [_refit(case, c, scores[c.name]) for c in short]
         refits.sort(key=lambda r: r.log_evidence, reverse=True)
-        if turn and refits[0].log_evidence < np.log(19.0 * len(tested)):
+        if turn and (refits[0].log_evidence < np.log(19.0 * len(tested)) or not _holds(case, refits[0], say)):
             break
         _name(case, refits, len(tested), turn)
         say(f"named {refits[0].candidate.name}")
+        _rebase(case, say)
     return findings(case.problem, make_frame(case.fitted), alpha=ALPHA)
+
+
+def _holds(case: _Case, found: Refit, say: Say) -> bool:
+    """Whether a further effect also helps on captures that it was not fitted to (True without any)."""
+    if case.held is None:
+        return True
+    before = _named_model(case, case.named, case.fitted)
+    after = _named_model(case, [*case.named, found], found.fitted)
+    gain = case.held.chi2(before, weights=before) - case.held.chi2(after, weights=before)
+    say(f"{found.candidate.name}: chi2 of the hold-out falls by {gain:.1f}, here by {found.dchi2:.1f}")
+    return bool(gain > WORTH_ON_HOLDOUT * found.dchi2)
+
+
+def _rebase(case: _Case, say: Say) -> None:
+    """Predict and weigh anew at the model found so far: variances grow with the effect."""
+    model = _named_model(case, case.named, case.fitted)
+    say("simulating the plan with the effects named so far")
+    problem = case.prepared.problem_for(model)
+    problem.columns.update(case.problem.columns)
+    case.fitted = fit(problem, Point(model, case.fitted.point.values), case.fitted.free)
+    case.problem = problem
+
+
+def _named_model(case: _Case, named: Sequence[Refit], fitted: Fit) -> CameraModel:
+    """The nominal model with effects at the values of a fit."""
+    model = case.prepared.model
+    for found in named:
+        values = {key.split(".")[1]: fitted.value(key)[0] for key in found.candidate.keys}
+        model = model.with_effect(found.candidate.effect.changed(**values))
+    return model
 
 
 def _names(case: _Case) -> list[str]:
@@ -236,7 +274,7 @@ def _report(
     say: Say,
     more: bool,
 ) -> Diagnosis:
-    nominal = case.problem.nominal
+    nominal = prepared.model
     model, effects = _model_with(case)
     excess = family_excess(case.problem, case.fitted.residual, alpha=ALPHA)
     words = [f.words for f in leftovers] + excess
@@ -245,9 +283,10 @@ def _report(
     ladder = tuple(ladder_rows(prepared, models, role="calibration"))
     confirm: dict[str, Any] = {}
     if held is not None:
-        with held:
-            ladder += tuple(ladder_rows(held, models, role="prediction"))
-            confirm = _confirm(held, models)
+        ladder += tuple(ladder_rows(held, models, role="prediction"))
+        confirm = _confirm(held, models)
+    if more and case.named:
+        say("searching captures that tell the closest candidates apart")
     captures = tuple(next_captures(case.problem, case.fitted, _pairs(case))) if more and case.named else ()
     return Diagnosis(
         verdict=_verdict(case, leftovers, excess, confirm),
@@ -283,7 +322,7 @@ def _pairs(case: _Case) -> list[tuple[Signature, Signature]]:
 
 def _model_with(case: _Case) -> tuple[CameraModel, list[NamedEffect]]:
     """The nominal model with the named effects at their fitted values, and their description."""
-    model, effects = case.problem.nominal, []
+    model, effects = case.prepared.model, []
     for best, chance, others in zip(case.named, case.named_posteriors, case.classes, strict=True):
         candidate = best.candidate
         values = {key: case.fitted.value(key) for key in candidate.keys}
@@ -301,8 +340,8 @@ def _model_with(case: _Case) -> tuple[CameraModel, list[NamedEffect]]:
 
 
 def _confirm(held: Prepared, models: Sequence[CameraModel]) -> dict[str, Any]:
-    """chi2 of the hold-out under each model, its own nuisances refitted, the effects frozen."""
-    costs = [held.fit_nuisances(m).chi2 for m in models]
+    """chi2 of the hold-out under each model with the nominal weights, its own nuisances refitted, the effects frozen."""
+    costs = [held.chi2(m, weights=models[0]) for m in models]
     return {"chi2": costs, "gain": costs[0] - costs[-1], "metrics": int(held.problem.keep.size)}
 
 

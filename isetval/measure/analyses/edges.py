@@ -66,7 +66,7 @@ def _channel(
 ) -> tuple[list[Metric], Float, tuple[float, float]]:
     n = len(results)
     mtf = np.mean([r.mtf_at(FREQUENCY_CY_PX) for r in results], axis=0)
-    covariance = np.mean([r.mtf_covariance(FREQUENCY_CY_PX) for r in results], axis=0) / n
+    covariance = np.mean([r.mtf_covariance(FREQUENCY_CY_PX, kind="sampling") for r in results], axis=0) / n
     sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-14))
     rows = [
         metric(conditions, "mtf", value, s, "1", channel=channel, frequency_cy_px=round(float(f), 4))

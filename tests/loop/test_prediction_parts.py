@@ -1,0 +1,149 @@
+"""Scenes, chain and statistics of the loop against closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from isetval import load_model, simulate
+from isetval.chain import ShotSetup, electronics, make_context, mean_electrons
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.errors import InputError
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch
+from isetval.core.sensor import Exposure
+from isetval.core.spectrum import Spectrum
+from isetval.diagnosis.profile import Frame, cosine, score
+from isetval.effects import catalogue
+from isetval.scenes.pictures import SpectralPicture
+from isetval.scenes.planar import StraightEdge
+from isetval.shooting import draw_nuisances
+from isetval.tomlfile import data_folder
+
+WINDOW = (1464, 1968, 96, 96)
+LIGHT = Light("sphere", Spectrum.flat(0.004))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(data_folder() / "pixel4a" / "camera.toml")
+
+
+def flat(**changes):
+    return replace(Shot("flat", "flat", exposure=Exposure(0.01), frames=2, window=WINDOW, light="sphere"), **changes)
+
+
+def plan(*shots, nuisances=()):
+    return Campaign("test", shots, lights={"sphere": LIGHT}, nuisances=nuisances)
+
+
+def test_edge_behind_a_gaussian_blur_is_the_error_function():
+    edge = StraightEdge((-np.sin(0.1), np.cos(0.1)), np.arange(-40, 40.0)[:, None], np.arange(-40, 40.0)[None, :])
+    sigma = 0.6
+
+    def transfer(fx, fy, wavelength_nm):
+        return np.exp(-2 * np.pi**2 * sigma**2 * (fx**2 + fy**2)) + 0 * wavelength_nm
+
+    values = edge.sample(np.ones((3, 1, 1)), transfer, np.array([450.0, 550.0, 650.0]))
+    exact = 0.5 * (1 + erf(edge.distance_px() / sigma / np.sqrt(2)))
+    assert np.abs(values - exact).max() < 1e-4  # spline of the transfer function between its nodes
+
+
+def test_blurred_picture_keeps_the_mean_and_follows_the_edge():
+    label = np.zeros((80, 80), np.intp)
+    label[:, 40:] = 1
+    picture = SpectralPicture.of_labels(label, np.array([[0.2, 0.8], [0.5, 0.1]]), 20)
+
+    def transfer(fx, fy, wavelength_nm):
+        return np.exp(-2 * np.pi**2 * (fx**2 + fy**2)) + 0 * wavelength_nm
+
+    values = picture.sample(np.ones((2, 1, 1)), transfer, np.array([500.0, 600.0]))
+    x = np.arange(20, 60) - 39.5
+    exact = 0.2 + 0.6 * 0.5 * (1 + erf(x / np.sqrt(2)))
+    assert np.abs(values[0, 20] - exact).max() < 0.02  # a pixel-sharp label edge sits half a pixel either way
+
+
+def test_same_seed_same_bits_and_a_further_effect_leaves_the_other_noise(model):
+    first, again = (simulate(model, plan(flat()), seed=3).captures["flat"][0].mosaic for _ in range(2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, simulate(model, plan(flat()), seed=4).captures["flat"][0].mosaic)
+    noisier = model.add(catalogue()["temporal_row_noise"](sigma_dn=5.0))
+    moved = simulate(noisier, plan(flat()), seed=3).captures["flat"][0].mosaic.astype(float) - first
+    rows = moved.mean(axis=1)
+    assert np.abs(moved - rows[:, None]).max() < 2.0  # rounding and nothing else: every other stream is as it was
+    assert rows.std() == pytest.approx(5.0, rel=5 / np.sqrt(2 * rows.size))
+
+
+def test_bits_do_not_depend_on_threads(model):
+    setup = ShotSetup(flat(window=(0, 0, 400, 300)), LIGHT)
+    mean = mean_electrons(model, setup)
+    context = make_context(model, setup, seed=1)
+    assert np.array_equal(electronics(model, mean, context, threads=1), electronics(model, mean, context, threads=2))
+
+
+def test_fixed_pattern_of_a_window_is_that_of_the_sensor(model):
+    only_pattern = model.without("shot_noise").without("read_noise").without("dsnu")
+    big = simulate(only_pattern, plan(flat(window=(1400, 1900, 256, 256))), seed=9).captures["flat"][0].mosaic.astype(int)
+    small = simulate(only_pattern, plan(flat()), seed=9).captures["flat"][0].mosaic.astype(int)
+    assert np.abs(big[64:160, 68:164] - small).max() <= 1  # same pattern; float32 rounding at most one code
+
+
+def test_photons_of_a_flat_follow_the_closed_form(model):
+    grid = model.wavelength_nm
+    bare = model.without("cos4")
+    mean = mean_electrons(bare, ShotSetup(flat(), LIGHT))
+    qe = bare.effect("quantum_efficiency")
+    from isetval.core.spectrum import read_spectra
+    from isetval.tomlfile import resolve_path
+
+    table = read_spectra(resolve_path(qe.file, bare.path.parent))
+    irradiance = np.pi * 0.004 / (4 * 1.73**2)
+    photons = irradiance * grid * 1e-9 / (6.62607015e-34 * 299792458.0) * (1.4e-6) ** 2 * 0.01
+    electrons = np.trapezoid(photons * table["R"].at(grid), grid)
+    assert mean[0::2, 0::2].mean() == pytest.approx(electrons, rel=1e-3)  # nothing but quadrature in between
+
+
+def test_a_badly_ordered_model_is_refused_with_a_sentence(model):
+    effects = list(model.effects)
+    with pytest.raises(InputError, match=r"move it in front|acts on"):
+        replace(model, effects=(effects[-1], *effects[:-1]))
+    with pytest.raises(InputError, match="ends in"):
+        replace(model, effects=tuple(effects[:6]))
+
+
+def test_nuisances_are_shared_by_scope(model):
+    level = Nuisance("light_level", 0.02, "relative", "set-up")
+    shots = (flat(name="a", setup="s"), flat(name="b", setup="s"), flat(name="c", setup="t"))
+    drawn = draw_nuisances(plan(*shots, nuisances=(level,)), seed=2)
+    assert set(drawn) == {"light_level@set-up:s", "light_level@set-up:t"}
+    dim = simulate(model, plan(*shots, nuisances=(level,)), seed=2, values={"light_level@set-up:s": -0.5})
+    means = {name: frames[0].mosaic.mean() - 64 for name, frames in dim.captures.items()}
+    assert means["a"] / means["c"] == pytest.approx(0.5, rel=0.01)
+    assert means["a"] / means["b"] == pytest.approx(1.0, rel=0.01)
+
+
+def test_score_is_chi2_with_a_planted_direction():
+    rng = np.random.default_rng(8)
+    n, trials = 60, 4000
+    nuisance = np.linalg.qr(rng.standard_normal((n, 3)))[0]
+    a = rng.standard_normal((n, 2))
+    planted = 0.7 * a[:, :1]
+    null = [score(Frame(rng.standard_normal(n), nuisance, n), a).dchi2 for _ in range(trials)]
+    assert np.mean(null) == pytest.approx(2.0, abs=5 * 2 / np.sqrt(trials))
+    part = a[:, 0] - nuisance @ (nuisance.T @ a[:, 0])
+    found = [score(Frame(planted[:, 0] + rng.standard_normal(n), nuisance, n), a).estimate[0] for _ in range(300)]
+    assert np.mean(found) == pytest.approx(0.7, abs=5 / np.linalg.norm(part) / np.sqrt(300) * 2)
+    assert cosine(Frame(np.zeros(n), nuisance, n), a[:, :1], 3 * a[:, :1] + nuisance[:, :1]) == pytest.approx(1.0)
+
+
+def test_chart_patch_in_the_middle_has_its_own_reflectance(model):
+    patches = (Patch("p", (30, 66, 30, 66), Spectrum.flat(0.6)),)
+    shot = Shot(
+        "c", "chart", exposure=Exposure(0.01), window=WINDOW, light="sphere", target=ChartTarget("c", patches, Spectrum.flat(0.6))
+    )
+    uniform = mean_electrons(model, ShotSetup(shot, LIGHT))
+    reference = mean_electrons(model, ShotSetup(flat(light_level=0.6), LIGHT))
+    assert np.abs(uniform / reference - 1).max() < 1e-6
+    edge = Shot("e", "edge", exposure=Exposure(0.01), window=WINDOW, light="sphere", target=EdgeTarget("e"))
+    values = mean_electrons(model, ShotSetup(edge, LIGHT))
+    assert values[48, 8] < 0.1 * values[48, 90] * 1.3
