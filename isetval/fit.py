@@ -88,7 +88,9 @@ class Problem:
 
     def predict(self, points: Sequence[Point]) -> list[Float]:
         """Predictions (metrics,): the base plus differences with common random numbers."""
-        return [self.base.mean + vector - self.anchor for vector in self.predictor.derivative_vectors(points)]
+        vectors = self.predictor.derivative_vectors(points)
+        # a row that cannot be measured at a point (a plane that saturates there) keeps its nominal prediction
+        return [self.base.mean + np.nan_to_num(vector - self.anchor) for vector in vectors]
 
     def whitened(self, vector: Float) -> Float:
         """L^-1 of the kept rows of ``vector``, (metrics,) or (metrics, k)."""
@@ -212,7 +214,7 @@ def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, tag: str =
         up = f.step if value + f.step <= f.high else -f.step
         ahead = next(vectors)
         column = (ahead - next(vectors)) / (2 * up) if _symmetric(f) else (ahead - here) / up
-        fresh[f.key] = column
+        fresh[f.key] = column = np.nan_to_num(column)
         if f.is_nuisance:
             problem.columns[(tag, f.key)] = fresh[f.key]
     if not free:

@@ -336,6 +336,8 @@ def _model_with(case: _Case) -> tuple[CameraModel, list[NamedEffect]]:
             for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
         }
         effects.append(NamedEffect(candidate.name, parameters, chance, others, effect, candidate.present, best.dchi2))
+    if effects:
+        model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
     return model, effects
 
 
