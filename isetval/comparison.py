@@ -90,7 +90,7 @@ def prepare(
         raise InputError(f"campaign {campaign.name} has no captures; simulate it, or put the files of its shots beside it")
     check_sensor(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
-    table = table or measure_campaign(campaign)
+    table = table or measure_campaign(campaign, summaries=False)
     predictor = Predictor(campaign, table, jobs=jobs)
     say(f"simulating the plan with {model.name}")
     return Prepared(model, campaign, table, make_problem(predictor, model))

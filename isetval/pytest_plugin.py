@@ -52,7 +52,9 @@ class MetricCheck:
             return
         stored = self._stored.get(self._test, {}).get(name)
         if stored is None:
-            pytest.fail(f"{name}: nothing is stored for {self._test}; run pytest --isetval-update 'reason' and look at {self._file}")
+            pytest.fail(
+                f"{name}: nothing is stored for {self._test}; run pytest --isetval-update 'reason' and look at {self._file}"
+            )
         words = _difference(name, self._new[name], stored, sigmas=sigmas, exact=exact)
         if words:
             pytest.fail(words)
@@ -77,7 +79,11 @@ def _difference(name: str, now: Mapping[str, Any], stored: Mapping[str, Any], *,
     allowed = max(RELATIVE * abs(before), 0.0 if exact or stored["sigma"] is None else sigmas * stored["sigma"])
     if abs(value - before) <= allowed:
         return ""
-    percent = f"{100 * (value / before - 1):+.3g} %, allowed {100 * allowed / abs(before):.2g} %" if before else f"allowed {allowed:.3g}"
+    percent = (
+        f"{100 * (value / before - 1):+.3g} %, allowed {100 * allowed / abs(before):.2g} %"
+        if before
+        else f"allowed {allowed:.3g}"
+    )
     return f"{name}: now {value:.6g} {now['unit']}, stored {before:.6g} {now['unit']} ({percent})"
 
 

@@ -13,6 +13,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, MetricTable
+from isetval.measure.summaries import session_summaries, wanted
 
 Progress = Callable[[str, int, int], None]
 
@@ -28,7 +29,11 @@ def analyses(role: str) -> tuple[ModuleType, ...]:
 
 
 def measure_campaign(
-    campaign: Campaign, *, choices: Mapping[str, Any] | None = None, progress: Progress | None = None
+    campaign: Campaign,
+    *,
+    choices: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+    summaries: bool = True,
 ) -> MetricTable:
     """Measure every shot of a campaign.
 
@@ -41,6 +46,9 @@ def measure_campaign(
         the data (edge order, cuts) is taken from there.
     progress : callable, optional
         Called as ``progress(shot name, done, all)``.
+    summaries : bool
+        Add what people quote of a session (conversion gain, read noise, PRNU, DSNU, dark current per
+        plane), marked ``summary``.
 
     Returns
     -------
@@ -54,12 +62,15 @@ def measure_campaign(
     """
     blocks: list[Block] = []
     notes: list[str] = []
+    frames: dict[str, Sequence[Capture]] = {}
     made: dict[str, Any] = {}
     for i, shot in enumerate(campaign.shots):
         try:
             captures = campaign.captures.get(shot.name, ())
             if not captures:
                 raise InputError("it has no captures (a plan cannot be measured; simulate it first)")
+            if summaries and wanted(shot, captures):
+                frames[shot.name] = captures
             for name, block in measure_shot(shot, captures, choices=choices):
                 blocks.append(block)
                 if block.choices:
@@ -72,6 +83,10 @@ def measure_campaign(
         raise InputError(
             f"campaign {campaign.name}: no shot could be measured; first reason: {notes[0] if notes else 'it has no shots'}"
         )
+    if summaries:
+        more, remarks = session_summaries(campaign, frames)
+        blocks += more
+        notes += remarks
     return MetricTable(tuple(blocks), choices=made, notes=tuple(notes), settings={"campaign": campaign.name})
 
 
