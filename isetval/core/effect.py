@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
 from isetval.core.context import Context
@@ -63,6 +66,20 @@ def parameter(
 def table_file(doc: str) -> Any:
     """A dataclass field that names a file of numbers (CSV, JSON) beside the model file."""
     return field(default="", metadata={"file": doc})
+
+
+def _file_content(base: str, file: str) -> str:
+    """What a named file holds, as SHA-256 (embedded data and absent files: their name)."""
+    path = Path(base) / file
+    if not file or ":" in file or not path.is_file():
+        return file
+    status = path.stat()
+    return _hashed(str(path), status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=256)
+def _hashed(path: str, modified_ns: int, size: int) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 EffectType = TypeVar("EffectType", bound="Effect")
@@ -125,8 +142,7 @@ class Effect:
         return (
             self.name,
             *self.values().items(),
-            *(getattr(self, name) for name in self.files()),
-            self.base if self.files() else "",
+            *(_file_content(self.base, getattr(self, name)) for name in self.files()),
         )
 
     def changed(self: EffectType, **values: Any) -> EffectType:
