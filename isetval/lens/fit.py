@@ -15,6 +15,7 @@ from isetval.lens.search import golden
 
 SYMMETRIES = ("rotational", "mirror", "none")
 MAX_HEIGHTS = 120
+ROUNDING = 1e-9  # relative hold-out error below which a higher degree only fits rounding
 RIM_AZIMUTHS = 120
 
 
@@ -228,7 +229,7 @@ def _choose(scores: dict[int, float], improvement: float) -> int:
     """The lowest degree that no higher degree beats by the wanted fraction."""
     best = min(scores)
     for degree in sorted(scores):
-        if scores[degree] < scores[best] * (1 - improvement):
+        if scores[best] > ROUNDING and scores[degree] < scores[best] * (1 - improvement):
             best = degree
     return best
 
