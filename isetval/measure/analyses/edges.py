@@ -57,7 +57,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     if not rows:
         raise MeasurementError(f"no edge can be measured ({'; '.join(reasons)})")
     shifts = _lateral_color(conditions, places)
-    correlation = _block_diagonal([*blocks, np.eye(len(shifts))])
+    correlation = block_diagonal([*blocks, np.eye(len(shifts))])
     return Block((*rows, *shifts), correlation, choices=made)
 
 
@@ -99,7 +99,8 @@ def _lateral_color(conditions: dict[str, Any], places: Mapping[str, tuple[float,
     return rows
 
 
-def _block_diagonal(blocks: Sequence[Float]) -> Float:
+def block_diagonal(blocks: Sequence[Float]) -> Float:
+    """One matrix (n, n) with the given ones along its diagonal."""
     n = sum(len(b) for b in blocks)
     out = np.zeros((n, n))
     row = 0
