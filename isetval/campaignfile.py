@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ def load_campaign(path: Path | str) -> Campaign:
     if not isinstance(table["shot"], list) or not table["shot"]:
         raise InputError(f"{path}: there is no [[shot]]; a campaign needs at least one")
     shots = tuple(_shot(entry, f"{path}: [[shot]] number {i}", targets, path) for i, entry in enumerate(table["shot"], 1))
+    shots = _found_repeats(_told_apart(shots, table["shot"]))
     sensor = sensor or _sensor_of_files(shots, path)
     try:
         campaign = Campaign(
@@ -180,7 +182,7 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
     frames = entry.get("frames", max(1, len(files)))
     if not isinstance(frames, int) or (files and frames != len(files)):
         raise InputError(f"{where}: frames is {frames!r} and it names {len(files)} files; they must agree")
-    name = text(entry, "name", where) or text(entry, "setup", where) or Path(where.rsplit(" ", 1)[-1]).name
+    name = text(entry, "name", where) or text(entry, "setup", where) or text(entry, "role", where)
     try:
         return Shot(
             name=name,
@@ -201,6 +203,37 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
         )
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+
+
+def _told_apart(shots: tuple[Shot, ...], entries: Sequence[Mapping[str, Any]]) -> tuple[Shot, ...]:
+    """Shots that the file gives no name are called by their set-up, numbered where that is not enough."""
+    given = {shot.name for shot, entry in zip(shots, entries, strict=True) if "name" in entry}
+    counts = Counter(shot.name for shot in shots)
+    out = []
+    for place, (shot, entry) in enumerate(zip(shots, entries, strict=True), 1):
+        alone = counts[shot.name] == 1 and shot.name not in given
+        own = shot if "name" in entry or alone else replace(shot, name=f"{shot.name}_{place}")
+        out.append(own if "setup" in entry else replace(own, setup=own.name))  # nothing said: a set-up of its own
+    return tuple(out)
+
+
+def _found_repeats(shots: tuple[Shot, ...]) -> tuple[Shot, ...]:
+    """``repeat_of`` may name a shot or a set-up: of a set-up, the shot of the same role, exposure, window and light level."""
+    names = {shot.name for shot in shots}
+
+    def twin(shot: Shot) -> str | None:
+        if shot.repeat_of is None or shot.repeat_of in names:
+            return shot.repeat_of
+        same = (shot.role, shot.exposure, shot.window, shot.light_level, shot.focus_um)
+        for other in shots:
+            if (
+                other.setup == shot.repeat_of
+                and (other.role, other.exposure, other.window, other.light_level, other.focus_um) == same
+            ):
+                return other.name
+        return shot.repeat_of
+
+    return tuple(replace(shot, repeat_of=twin(shot)) for shot in shots)
 
 
 def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:

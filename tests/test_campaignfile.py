@@ -208,3 +208,25 @@ def test_examples_of_the_readme_are_read(tmp_path):
 
     (tmp_path / "limits.toml").write_text(limits)
     assert load_limits(tmp_path / "limits.toml")[0].low == 0.25
+
+
+def test_shots_without_names_are_told_apart_and_repeats_found_by_set_up(tmp_path):
+    text = """
+[sensor]
+rows = 100
+cols = 120
+pixel_um = 1.4
+cfa = "RGGB"
+black_dn = 64
+white_dn = 1023
+[light.sphere]
+radiance = 0.01
+"""
+    for setup, exposure in (("s07", 0.1), ("s07", 0.2), ("s08", 0.2)):
+        repeat = 'repeat_of = "s07"' if setup == "s08" else ""
+        text += f'[[shot]]\nrole = "flat"\nsetup = "{setup}"\nlight = "sphere"\nexposure_s = {exposure}\n{repeat}\n'
+    (tmp_path / "campaign.toml").write_text(text)
+    campaign = isetval.load_campaign(tmp_path)
+    assert [shot.name for shot in campaign.shots] == ["s07_1", "s07_2", "s08"]
+    assert [shot.setup for shot in campaign.shots] == ["s07", "s07", "s08"]
+    assert campaign.shots[2].repeat_of == "s07_2"  # the shot of that set-up with the same exposure
