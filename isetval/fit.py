@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -303,8 +303,3 @@ def _descend(
     if best is None:
         raise InputError("the fit left the region that can be simulated; check the priors of the campaign's nuisances")
     return best
-
-
-def with_point(fitted: Fit, keys: Mapping[str, float]) -> Point:
-    """The fit's point with further model parameters."""
-    return Point(fitted.point.model.with_values(keys), fitted.point.values)

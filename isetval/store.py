@@ -8,7 +8,7 @@ the numbers (model, shot, nuisances, seeds, choices, package version), so nothin
 from __future__ import annotations
 
 import hashlib
-import os
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ def content_hash(content: Any) -> str:
     return hashlib.sha256(repr((FORMAT, __version__, content)).encode()).hexdigest()
 
 
+@lru_cache(maxsize=1)
 def code_hash() -> str:
     """SHA-256 of the package's own source: a changed line of code makes all stored numbers stale."""
     package = Path(__file__).resolve().parent
@@ -43,9 +44,8 @@ class Store:
     def __init__(self, name: str) -> None:
         self.items: dict[str, Float] = {}
         self.fresh = False
-        off = os.environ.get("ISETVAL_CACHE", "").lower() == "off"
-        self.path = None if off else cache_folder() / "metrics" / f"{content_hash((name, code_hash()))[:32]}.npz"
-        if self.path is not None and self.path.is_file():
+        self.path = cache_folder() / "metrics" / f"{content_hash((name, code_hash()))[:32]}.npz"
+        if self.path.is_file():
             self.items = _read(self.path)
 
     def get(self, key: str) -> Float | None:
@@ -59,7 +59,7 @@ class Store:
 
     def save(self) -> None:
         """Write the file if anything is new and it is not too large."""
-        if self.path is None or not self.fresh:
+        if not self.fresh:
             return
         keys = list(self.items)
         if sum(self.items[k].nbytes for k in keys) <= MAX_BYTES:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from isetval.comparison import Prepared, ladder_rows, prepare, repeat_gate, split_sessions
 from isetval.core.campaign import Campaign
 from isetval.diagnosis.candidates import Candidate, Signature, candidates_for, signatures
-from isetval.diagnosis.evidence import CLOSE_LOG_ODDS, Refit, log_hessian, posteriors, refit, smallest_detectable
+from isetval.diagnosis.evidence import CLOSE_LOG_ODDS, PROBABILITY_CAP, Refit, log_hessian, posteriors, refit, smallest_detectable
 from isetval.diagnosis.nextcaptures import next_captures
 from isetval.diagnosis.profile import Frame, Score, cosine, make_frame, score
 from isetval.diagnosis.result import CandidateRow, Diagnosis, NamedEffect, NamedParameter
@@ -41,13 +41,13 @@ class _Case:
     fitted: Fit
     candidates: tuple[Candidate, ...]
     signatures: dict[str, Signature]
+    frame0: Frame
     named: list[Refit] = field(default_factory=list)
     named_posteriors: list[float] = field(default_factory=list)
     classes: list[tuple[str, ...]] = field(default_factory=list)
     rivals: list[tuple[str, ...]] = field(default_factory=list)
     rows: list[CandidateRow] = field(default_factory=list)
     unobservable: tuple[str, ...] = ()
-    frame0: Frame | None = None
 
 
 def diagnose(
@@ -123,7 +123,7 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     made = signatures(problem, Point(model), wanted, project=frame.basis[: frame.rows])
-    return _Case(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame0=frame)
+    return _Case(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame)
 
 
 def _investigate(case: _Case, say: Say) -> list[Finding]:
@@ -254,7 +254,7 @@ def _name(case: _Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
     case.rivals.append(rivals)
     case.named.append(best)
     case.named_posteriors.append(
-        float(min(sum(chances[[0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]]), 0.98))
+        float(min(sum(chances[[0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]]), PROBABILITY_CAP))
     )
     if turn == 0:
         by_name = {r.candidate.name: (r.log_evidence, float(p)) for r, p in zip(refits, chances, strict=True)}
@@ -307,7 +307,7 @@ def _report(
 
 def _pairs(case: _Case) -> list[tuple[Signature, Signature]]:
     """The named effects against what is closest to them."""
-    frame = case.frame0 or make_frame(case.fitted)
+    frame = case.frame0
     white = {name: case.problem.whitened(s.columns) for name, s in case.signatures.items()}
     out = []
     for best, others in zip(case.named, case.classes, strict=True):

@@ -1,6 +1,6 @@
 """A folder of results named by the hash of everything that made them.
 
-The folder is ``$ISETVAL_CACHE``, else ``$XDG_CACHE_HOME/isetval``, else ``~/.cache/isetval`` (XDG Base
+The folder is ``$ISETVAL_CACHE`` (``off``: none), else ``$XDG_CACHE_HOME/isetval``, else ``~/.cache/isetval`` (XDG Base
 Directory Specification 0.8).  Files are written whole or not at all; a file that cannot be read counts
 as absent; a folder that cannot be written means that nothing is kept, never that a result is lost.
 """
@@ -26,6 +26,8 @@ Arrays = dict[str, NDArray[Any]]
 def cache_folder() -> Path:
     """The folder for results that can be made again; not created here."""
     own = os.environ.get("ISETVAL_CACHE")
+    if own == "off":
+        return Path(os.devnull) / "isetval"  # nothing can be written there, so nothing is kept
     if own:
         return Path(own).expanduser()
     base = os.environ.get("XDG_CACHE_HOME", "")
