@@ -101,8 +101,8 @@ def measure_levels(
     def measure(i: int) -> Level:
         own, left_out = (moments, known) if i == middle else (None, known)
         if small and i != middle and light[i] > PATTERN_FROM * max(light):
-            frames = [plane_view(c, plane, roi)[0] for c in flats[i]]
-            own, left_out = frame_moments(frames, black.value, bad=bad), bad
+            frames = [central(plane_view(c, plane, roi)[0]) for c in flats[i]]
+            own = frame_moments(frames, black.value, bad=bad)
         return _level(flats[i], plane, roi, black.value, own, passes, left_out)
 
     levels = [measure(i) for i in range(len(flats))]
