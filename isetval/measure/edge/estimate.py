@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.errors import InputError
 from isetval.measure.edge import basis, transform
 from isetval.measure.edge.gather import Binned, gather, noise_level
 from isetval.measure.edge.locate import FirstLooks, thinning
-from isetval.measure.edge.rough import common_error, locate, start_shapes
+from isetval.measure.edge.rough import locate, rounding_error, start_shapes
 from isetval.measure.edge.rows import core_of, core_view, row_shifts, update_lines
 from isetval.measure.edge.shading import SideNoise, fit_along, gain_of
 from isetval.measure.edge.shape import Shapes, grid
 from isetval.measure.edge.smooth import EsfFits, fit_esf
-from isetval.measure.edge.stack import EdgeLines, Index, RowPolynomials, Stack, clip, distances
+from isetval.measure.edge.stack import MAX_ORDER, EdgeLines, Index, RowPolynomials, Stack, clip, distances
 
 Float = NDArray[np.floating[Any]]
 
@@ -26,6 +27,7 @@ PASSES = 8
 POLISH = 3
 LINE_DONE_PX, LINE_DONE_SIGMA = 2e-4, 0.15
 MODEL_ERROR = 2e-5
+UNDITHERED = 0.01
 ALONG_DONE, ACROSS_DONE = 0.0005, 0.0007
 PLAIN_LIGHT = 0.02
 MAX_GAIN = 0.8
@@ -173,6 +175,27 @@ class _Whole:
         )
 
 
+def checked_choices(choices: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Choices of another result as plain numbers.
+
+    Raises
+    ------
+    InputError
+        For names or values that no result has.
+    """
+    given = dict(choices or {})
+    kinds = {"order": int, "width_index": int, "even": float, "odd": float, "light": float}
+    try:
+        out = {name: kinds[name](value) for name, value in given.items()}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"choices are {given!r}; they need {', '.join(kinds)} of another result") from error
+    if not 1 <= out.get("order", 1) <= MAX_ORDER:
+        raise InputError(f"choices ask for order {out['order']}; it needs 1 to {MAX_ORDER}")
+    if {"even", "odd", "light"} & out.keys() and not {"even", "odd", "light"} <= out.keys():
+        raise InputError("choices hold some of even, odd and light; they need all three or none")
+    return out
+
+
 def measure_edges(
     stack: Stack, looks: FirstLooks, width_px: Float, *, floor: float, choices: Mapping[str, Any] | None = None
 ) -> list[Estimates]:
@@ -266,7 +289,10 @@ def _whole(task: _Task, state: _State) -> _Whole:
     binned = gather(np.divide(task.stack.values, light, out=light), distance, width)
     noise = noise_level(binned, floor=np.maximum(task.floor, (1e-5 * shapes.step) ** 2))
     level = shapes.at(binned.distance * (width / shapes.width_px)[:, None, None])[0]
-    common = common_error(noise, task.floor, MODEL_ERROR * shapes.step)[:, None, None]
+    rounding = rounding_error(noise, task.floor)
+    common = equal_cells(binned, level * shapes.step[:, None, None], rounding > UNDITHERED * task.floor)
+    common *= rounding[:, None, None]
+    common += ((MODEL_ERROR * shapes.step) ** 2)[:, None, None]
     place = binned.distance * (width / task.half_px)[:, None, None]
     variance = noise.at(level) + binned.number * common
     level *= shapes.step[:, None, None]
@@ -282,6 +308,20 @@ def _whole(task: _Task, state: _State) -> _Whole:
         choices=task.chosen,
     )
     return _Whole(fits, _table(fits), noise, binned, distance)
+
+
+def equal_cells(binned: Binned, expected_dn: Float, undithered: NDArray[np.bool_]) -> Float:
+    """Number of cells whose samples round to the same DN, where noise does not dither them: their rounding errors are one.
+
+    ``expected_dn`` is the level expected in every cell; 1 where noise dithers.
+    """
+    out = np.ones(binned.number.shape)
+    for i in np.flatnonzero(undithered):
+        seen = binned.number[i] > 0
+        value = expected_dn[i][seen]
+        order = np.sort(value)
+        out[i][seen] = np.searchsorted(order, value + 0.5, "right") - np.searchsorted(order, value - 0.5, "left")
+    return out
 
 
 def _table(fits: EsfFits) -> Shapes:

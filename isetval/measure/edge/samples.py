@@ -41,6 +41,8 @@ class Samples:
     transposed : bool
     clipped_high, clipped_low : bool arrays (rows, n)
         Samples at or above the white level, at raw zero.
+    black_dn : float
+        Black level that was removed (its mean over the plane).
     """
 
     values: Float
@@ -51,25 +53,12 @@ class Samples:
     transposed: bool
     clipped_high: NDArray[np.bool_]
     clipped_low: NDArray[np.bool_]
+    black_dn: float = 0.0
 
     @property
     def x_px(self) -> Float:
         """Column coordinate of every sample, (rows, n)."""
         return np.asarray(self.x0_px[:, None] + self.step_px * np.arange(self.values.shape[1]))
-
-    def every(self, k: int) -> Samples:
-        """Every ``k``-th row, as symmetric about the middle as can be."""
-        start = ((len(self.y_px) - 1) % k) // 2
-        return Samples(
-            self.values[start::k],
-            self.x0_px[start::k],
-            self.y_px[start::k],
-            self.step_px,
-            self.row_step_px * k,
-            self.transposed,
-            self.clipped_high[start::k],
-            self.clipped_low[start::k],
-        )
 
     def flipped(self) -> Samples:
         """The same samples with rows and columns exchanged; needs a rectangular grid."""
@@ -85,6 +74,7 @@ class Samples:
             transposed=not self.transposed,
             clipped_high=self.clipped_high.T,
             clipped_low=self.clipped_low.T,
+            black_dn=self.black_dn,
         )
 
 
@@ -122,6 +112,7 @@ def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
         transposed=False,
         clipped_high=view >= capture.sensor.white_dn,
         clipped_low=view <= 0,
+        black_dn=plane_black_dn(capture, channel),
     )
 
 
@@ -155,6 +146,7 @@ def _quincunx(capture: Capture, box: Roi, *, transposed: bool) -> Samples:
         transposed=transposed,
         clipped_high=out >= capture.sensor.white_dn,
         clipped_low=out <= 0,
+        black_dn=float(np.mean(black)),
     )
 
 
