@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError
-from isetval.measure.edge.estimate import Estimates, checked_choices, measure_edges
+from isetval.measure.edge.estimate import measure_edges
+from isetval.measure.edge.found import Estimates, checked_choices
 from isetval.measure.edge.locate import FirstLooks, first_look, first_width
 from isetval.measure.edge.oecf import Oecf, linearised
 from isetval.measure.edge.report import Request, refused, results

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi
 from isetval.measure.edge import spectrum
-from isetval.measure.edge.estimate import Estimates
+from isetval.measure.edge.found import Estimates
 from isetval.measure.edge.oecf import Oecf
 from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.smooth import EsfFit, solve_lower

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge.estimate import Estimates
+from isetval.measure.edge.found import Estimates
 from isetval.measure.edge.locate import FirstLooks, Transitions, is_sharp, pixel_noise, transitions
 from isetval.measure.edge.samples import Samples
 from isetval.measure.edge.shading import gain_of
