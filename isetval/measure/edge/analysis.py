@@ -90,6 +90,8 @@ def sfr_batch(
     """
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
+    if not hasattr(rois, "__len__"):
+        raise InputError(f"rois is a {type(rois).__name__}; it needs a list of regions, None for a whole capture")
     many = [captures] * len(rois) if not isinstance(captures, Sequence) else list(captures)
     choices = checked_choices(choices)
     if len(many) != len(rois):

@@ -95,6 +95,7 @@ def find_edges(capture: Capture, channel: str = "G") -> FoundEdges:
     """
     if not isinstance(capture, Capture):
         raise InputError(f"find_edges needs a Capture, not {type(capture).__name__}; see Capture.from_array")
+    check_channel(capture, channel)
     if min(capture.mosaic.shape) < 24:
         return FoundEdges()
     image, scale = working_image(capture)

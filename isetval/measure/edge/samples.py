@@ -103,8 +103,9 @@ def plane_samples(capture: Capture, roi: Roi | None, channel: str, *, transposed
 
 def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
     view, (row, col), step = plane_view(capture, channel, box)
+    black = plane_black_dn(capture, channel)
     return Samples(
-        values=view - plane_black_dn(capture, channel),
+        values=view - black,
         x0_px=np.full(view.shape[0], float(col)),
         y_px=row + step * np.arange(view.shape[0], dtype=float),
         step_px=float(step),
@@ -112,7 +113,7 @@ def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
         transposed=False,
         clipped_high=view >= capture.sensor.white_dn,
         clipped_low=view <= 0,
-        black_dn=plane_black_dn(capture, channel),
+        black_dn=black,
     )
 
 
@@ -152,7 +153,11 @@ def _quincunx(capture: Capture, box: Roi, *, transposed: bool) -> Samples:
 
 def is_horizontal(values: Float) -> bool:
     """Whether the level changes more from row to row than from column to column."""
-    return bool(np.var(values.mean(axis=1)) > np.var(values.mean(axis=0)))
+    rows, cols = values.shape
+    down, right = values.sum(axis=1), values.sum(axis=0)
+    middle = down.sum() / (rows * cols)
+    down, right = down / cols - middle, right / rows - middle
+    return bool((down @ down) * cols > (right @ right) * rows)
 
 
 __all__ = ["BAYER_PLANES", "CHANNELS", "Samples", "check_channel", "plane_samples"]

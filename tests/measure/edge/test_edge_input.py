@@ -6,7 +6,7 @@ from edge_cases import AIRY, any_angle, clean
 
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.measure.edge import sfr, sfr_batch
+from isetval.measure.edge import find_edges, sfr, sfr_batch
 from isetval.scenes.edge_truth import EdgeBlur, EdgeTruth, edge_capture
 
 WHITE = 65535.0
@@ -123,3 +123,14 @@ def test_regions_that_are_none(roi):
 def test_choices_that_are_none(choices):
     with pytest.raises(InputError, match="choices"):
         sfr(edge_capture(EdgeTruth(AIRY)), choices=choices)
+
+
+def test_batches_and_channels_that_are_none():
+    capture = edge_capture(EdgeTruth(AIRY), cfa="RGGB")
+    assert sfr_batch(capture, []) == []
+    with pytest.raises(InputError, match="list of regions"):
+        sfr_batch(capture, None)
+    with pytest.raises(InputError, match="needs a Capture"):
+        sfr_batch(capture.mosaic, [None])
+    with pytest.raises(InputError, match="channel is 'X'"):
+        find_edges(capture, "X")
