@@ -14,7 +14,6 @@ ASKED = {
     "Pixel 4a, Mitsuba": 4,
     "Pixel 4a, image space": 16,
     "textbook lens": 8,
-    "default lens": 6,
     "scalar against": 2,
     "time of the lens sensor": 1,
     "minutes": 1,
