@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,16 +20,22 @@ CLOSE_LOG_ODDS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A candidate fitted jointly with all nuisances; ``log_evidence`` is ln(Z_e / Z_0)."""
+    """A candidate fitted jointly with all nuisances; ``log_evidence`` is ln(Z_e / Z_0).
+
+    ``values`` are its parameters: those of the joint fit, or the linear ones of the score test where the
+    fit found less than half of what the score promises.  That happens to effects that are a draw of the
+    specimen: with the weights of a camera without hot pixels nothing but the very same pixels would fit.
+    """
 
     candidate: Candidate
     fitted: Fit
     log_evidence: float
     dchi2: float
+    values: Mapping[str, float]
 
 
 def refit(
-    problem: Problem, fitted: Fit, candidate: Candidate, *, signature: Signature, estimate: Float, null_hessian: float
+    problem: Problem, fitted: Fit, candidate: Candidate, *, signature: Signature, found: Score, null_hessian: float
 ) -> Refit:
     """Fit a candidate's parameters together with everything that ``fitted`` left free.
 
@@ -37,6 +43,7 @@ def refit(
     only grow): ``ln B = (chi2_0 - chi2_e)/2 - (ln det H_e - ln det H_0)/2 - sum ln tau (+ ln 2)``,
     chi2 with the priors' part and H the Hessians of both.
     """
+    estimate = np.where(np.isfinite(found.sigma), found.estimate, 0.0)
     start_model = candidate.model_with(fitted.point.model)
     steps = np.abs(signature.steps)
     free_effect = candidate.free([float(s) for s in steps])
@@ -55,7 +62,16 @@ def refit(
     sides = np.log(2.0) if candidate.one_sided else 0.0
     gain = (fitted.chi2 - joint.chi2) / 2
     log_evidence = gain - (hessian - null_hessian) / 2 - float(np.sum(np.log(candidate.tau))) + sides
-    return Refit(candidate, joint, float(log_evidence), float(fitted.chi2 - joint.chi2))
+    if gain > found.dchi2 / 4:
+        return Refit(candidate, joint, float(log_evidence), 2 * float(gain), {key: joint.value(key)[0] for key in candidate.keys})
+    linear = dict(zip(candidate.keys, map(float, value), strict=True))
+    return Refit(candidate, joint, _linear_evidence(candidate, found, sides), found.dchi2, linear)
+
+
+def _linear_evidence(candidate: Candidate, found: Score, sides: float) -> float:
+    """Laplace evidence at the linear estimate, its parameters taken as independent."""
+    width = np.log(np.minimum(found.sigma / candidate.tau, 1.0))
+    return float(found.dchi2 / 2 + np.sum(width) + sides)
 
 
 def without_prior(free: Sequence[Free], candidate: Candidate) -> tuple[Free, ...]:
