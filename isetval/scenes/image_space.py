@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,11 +20,14 @@ from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
 from isetval.scenes.passes import Crop, Irradiance, Render
-from isetval.scenes.views import LensView, beam, pinhole_position
+from isetval.scenes.rendering import split_tiles
+from isetval.scenes.spots import Spot
+from isetval.scenes.views import LensView, pinhole_position
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-BLOCK_PX = 64
+BLOCK_PX, AXIS_BLOCK_PX = 64, 8
+NEAR_AXIS_MM = 0.1
 LAYER_STEP_PX = 0.5
 JUMP = 0.02
 
@@ -71,11 +73,9 @@ def image_space_irradiance(
     fine = _FineGrid(render, view, camera=camera, subsample=subsample, halo_px=halo_px)
     out = np.empty((len(render.wavelength_nm), *crop[2:]), np.float32)
     variance = np.empty_like(out)
-    for row0 in range(crop[0], crop[0] + crop[2], BLOCK_PX):
-        for col0 in range(crop[1], crop[1] + crop[3], BLOCK_PX):
-            block = (row0, col0, min(BLOCK_PX, crop[0] + crop[2] - row0), min(BLOCK_PX, crop[1] + crop[3] - col0))
-            at = (slice(row0 - crop[0], row0 - crop[0] + block[2]), slice(col0 - crop[1], col0 - crop[1] + block[3]))
-            out[:, *at], variance[:, *at] = fine.block(block, light_factor=light_factor, diffraction=diffraction)
+    for block in _blocks(crop, camera):
+        at = (slice(block[0] - crop[0], block[0] - crop[0] + block[2]), slice(block[1] - crop[1], block[1] - crop[1] + block[3]))
+        out[:, *at], variance[:, *at] = fine.block(block, light_factor=light_factor, diffraction=diffraction)
     settings = {
         "path": "image space",
         "film_mm": view.film_mm,
@@ -89,6 +89,19 @@ def image_space_irradiance(
     return Irradiance(out, variance, render.wavelength_nm, crop, settings)
 
 
+def _blocks(crop: Crop, camera: Mapping[str, Any]) -> list[Crop]:
+    """Blocks of one blur each, finer around the axis, where the meridian turns from pixel to pixel."""
+    near = NEAR_AXIS_MM / (camera["pixel_um"] * 1e-3)
+    out = []
+    for block in split_tiles(crop, BLOCK_PX):
+        row, col = (
+            max(0.0, first - side / 2, side / 2 - first - n)
+            for first, n, side in zip(block[:2], block[2:], (camera["rows"], camera["cols"]), strict=True)
+        )
+        out += split_tiles(block, AXIS_BLOCK_PX) if math.hypot(row, col) < near else [block]
+    return out
+
+
 class _FineGrid:
     """The render seen on the sensor's grid, ``subsample`` times finer, one block at a time."""
 
@@ -97,7 +110,7 @@ class _FineGrid:
         self.pitch = camera["pixel_um"] * 1e-3 / self.s
         self.pinhole = render.settings["camera"]
         self.origin = render.crop[:2]
-        self.depth = np.asarray(render.depth_m, float)
+        self.depth = _without_cracks(np.asarray(render.depth_m, float))
         self.bands = np.asarray(render.wavelength_nm, float)
         self.radiance = render.radiance
         self.variance = render.variance
@@ -227,6 +240,19 @@ def _mixed(depth: Float) -> NDArray[np.bool_]:
     return np.asarray(maximum_filter(vergence, 3) > (1 + JUMP) * minimum_filter(vergence, 3))
 
 
+def _without_cracks(depth: Float) -> Float:
+    """Depth with lines and points one sample wide taken from what lies around them.
+
+    Where two surfaces meet, single rays slip between them and meet something far behind; the picture does not show it.
+    """
+    from scipy.ndimage import convolve, median_filter
+
+    around = median_filter(depth, 3)
+    far = depth > (1 + JUMP) * around
+    near_by = convolve(far.astype(int), np.ones((3, 3), int), mode="constant")
+    return np.asarray(np.where(far & (near_by <= 3), around, depth))
+
+
 def _continued(values: Float, known: NDArray[np.bool_]) -> Float:
     """Values of the nearest known pixel everywhere."""
     from scipy.ndimage import distance_transform_edt
@@ -239,55 +265,3 @@ def _continued(values: Float, known: NDArray[np.bool_]) -> Float:
 
 def _blur(values: Float, otf: Complex) -> Float:
     return np.asarray(np.fft.irfft2(np.fft.rfft2(values) * otf, s=values.shape))
-
-
-@dataclass(frozen=True, eq=False)
-class Spot:
-    """Where, on the film, the rays of a film point find the scene: offsets to it and shares of the light.
-
-    ``offset_mm`` is (2, rays) in (x, y); ``weight`` sums to 1; ``cosine_spread`` is the 2 x 2 matrix that turns
-    direction cosines on the film into the unit circle of the pupil's rim (for diffraction).
-    """
-
-    offset_mm: Float
-    weight: Float
-    cosine_spread: Float
-
-    @classmethod
-    def at(cls, view: LensView, point_mm: tuple[float, float], depth_m: float, *, wavelength_nm: float) -> Spot:
-        """The spot of a film point for a depth from the entrance pupil."""
-        r = math.hypot(*point_mm)
-        rays, weight = beam(view.lens, np.array([r]), film_mm=view.film_mm, wavelength_nm=wavelength_nm)
-        share = weight[0] / weight.sum()
-        slope = rays.direction[:2] / rays.direction[2]
-        depth_mm = depth_m * 1e3
-        seen = -(rays.origin_mm[:2] + slope * (view.pupil_z_mm + depth_mm - rays.origin_mm[2])) / depth_mm
-        mean = (seen * share).sum(axis=1)
-        radial, sagittal = view.tangent_per_mm(r, depth_m)
-        offset = np.stack([seen[0] / sagittal, (seen[1] - mean[1]) / radial])
-        angle = math.pi / 2 - math.atan2(point_mm[1], point_mm[0]) if r > 0 else 0.0
-        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-        return cls(turn @ offset, share, turn @ _film_cosines(view, r, wavelength_nm))
-
-    def otf(self, shape: tuple[int, int], pitch_mm: float, wavelength_nm: float | None) -> Complex:
-        """Transfer function for ``rfft2`` of a grid; with diffraction where a wavelength is given."""
-        fy, fx = np.fft.fftfreq(shape[0], pitch_mm), np.fft.rfftfreq(shape[1], pitch_mm)
-        along_y = np.exp(2j * np.pi * np.outer(fy, self.offset_mm[1])) * self.weight
-        along_x = np.exp(2j * np.pi * np.outer(fx, self.offset_mm[0]))
-        out = np.asarray(along_y @ along_x.T, np.complex128)
-        if wavelength_nm is not None:
-            f = np.stack(np.broadcast_arrays(fx[None, :], fy[:, None])) * (wavelength_nm * 1e-6)
-            nu = np.minimum(np.hypot(*np.tensordot(np.linalg.inv(self.cosine_spread), f, 1)) / 2, 1.0)
-            out = out * (2 / np.pi) * (np.arccos(nu) - nu * np.sqrt(1 - nu**2))
-        return out
-
-
-def _film_cosines(view: LensView, r_mm: float, wavelength_nm: float) -> Float:
-    """Semi-axes (diagonal 2 x 2) of the beam's rim in direction cosines on the film, in the meridian's frame."""
-    from isetval.scenes.views import rim
-
-    middle, rho, angle = rim(view.lens, np.array([r_mm]), film_mm=view.film_mm, wavelength_nm=wavelength_nm)
-    z = view.lens.table(wavelength_nm).region.plane_distance_mm + view.lens.film_offset_mm(view.film_mm)
-    slope = np.stack([rho[0] * np.cos(angle), middle[0] + rho[0] * np.sin(angle) - r_mm]) / z
-    cosine = slope / np.sqrt(1 + (slope**2).sum(axis=0))
-    return np.diag(np.ptp(cosine, axis=1) / 2)

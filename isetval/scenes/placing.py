@@ -96,7 +96,8 @@ def edge_target(
 ) -> tuple[list[Shape], list[list[float]]]:
     """A card with one straight edge through its middle, turned by ``angle_deg`` about its normal.
 
-    The left half (before turning) is dark, the right half light.
+    The left half (before turning) is dark, the right half light: a light card 5 um before a dark one twice as wide.  Two
+    cards side by side would leave a seam that single rays slip through, to what lies far behind.
 
     Returns
     -------
@@ -106,8 +107,8 @@ def edge_target(
     turned = matrix @ rotate("z", angle_deg)
     half = (size_m[0] / 2, size_m[1])
     shapes = [
-        rectangle(f"{name}_dark", turned @ translate(-half[0] / 2, 0, 0), size_m=half, reflectance=dark),
-        rectangle(f"{name}_light", turned @ translate(half[0] / 2, 0, 0), size_m=half, reflectance=light),
+        rectangle(f"{name}_dark", turned, size_m=size_m, reflectance=dark),
+        rectangle(f"{name}_light", turned @ translate(half[0] / 2, 0, 5e-6), size_m=half, reflectance=light),
     ]
     ends = turned @ np.array([[0, size_m[1] / 2, 0, 1], [0, -size_m[1] / 2, 0, 1]]).T
     return shapes, np.asarray(ends[:3].T).tolist()

@@ -23,6 +23,8 @@ from isetval.scenes.lens_grid import RIM_AZIMUTHS, LensTables, WaveTable
 Float = NDArray[np.float64]
 PLUGIN = "isetval_ray_transfer"
 FARTHEST = 3.0e38
+# stratified over the samples of a pixel, independent between pixels and seeds: half the variance or less
+SAMPLER = "multijitter"
 _TABLES: dict[int, LensTables] = {}
 _REGISTERED: set[str] = set()
 
@@ -159,7 +161,7 @@ def sensor_plugin(
         "lens_key": key,
         "pitch_mm": camera["pixel_um"] * 1e-3,
         "film": film,
-        "sampler": {"type": "independent"},
+        "sampler": {"type": SAMPLER},
     }
 
 

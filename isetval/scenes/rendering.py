@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -159,7 +160,7 @@ class Job:
     def _key(self, plan: PassPlan) -> str:
         return store.content_key(
             {
-                "format": "isetval-render-1",
+                "format": "isetval-render-2",
                 "content": self.content,
                 "bands": self.bands,
                 "tile": plan.tile,
@@ -300,7 +301,12 @@ def split_tiles(crop: Crop, size_px: int) -> tuple[Crop, ...]:
 
 
 def split_passes(spp: int, pixels: int) -> tuple[int, int]:
-    """(passes, samples in each): 16 passes where the samples allow, more where a pass would grow too large."""
+    """(passes, samples in each): 16 passes where the samples allow, more where a pass would grow too large.
+
+    The samples of a pass are raised to a full grid (rows of floor(sqrt)), which is what the stratified sampler draws.
+    """
     passes = max(2, min(16, spp // 2))
     passes = max(passes, -(-spp * pixels // PATHS_PER_PASS))
-    return passes, -(-spp // passes)
+    each = -(-spp // passes)
+    side = math.isqrt(each)
+    return passes, side * -(-each // side)

@@ -90,23 +90,26 @@ def _seen_gauge(region: Region, r_mm: Float, x: Float, y: Float, *, share: float
     return region.gauge(*flat).reshape(x.shape)
 
 
-def rim(lens: Lens, r_mm: Float, *, film_mm: float | None, wavelength_nm: float | None = None) -> tuple[Float, Float, Float]:
+def rim(
+    lens: Lens, r_mm: Float, *, film_mm: float | None, wavelength_nm: float | None = None, turn_rad: ArrayLike = 0.0
+) -> tuple[Float, Float, Float]:
     """What film points (0, r) see of the pass region: middle (n, 1) on the meridian, rim (n, azimuths), azimuths.
 
-    The region belongs to where each ray cuts the input plane, so the rim is found by iteration.
+    Azimuths start ``turn_rad`` (a number or (n,)) from x.  The region belongs to where each ray cuts the input plane, so
+    the rim is found by iteration.
     """
     region: Region = lens.table(wavelength_nm).region
     offset = lens.film_offset_mm(film_mm)
     share = offset / (region.plane_distance_mm + offset)
     r = r_mm[:, None]
     middle = region.center(r_mm)[1][:, None]
-    angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
+    angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS) + np.reshape(turn_rad, (-1, 1))
     rho = np.broadcast_to(region.radius(r_mm)[:, None], (len(r_mm), AZIMUTHS))
     for _ in range(8):
         x, y = rho * np.cos(angle), middle + rho * np.sin(angle)
         gauge = _seen_gauge(region, np.broadcast_to(r, x.shape), x, y, share=share)
         rho = rho / np.clip(gauge, 0.2, 5.0)
-    return np.asarray(middle), np.asarray(rho), np.asarray(angle)
+    return np.asarray(middle), np.asarray(rho), np.broadcast_to(angle, rho.shape)
 
 
 def beam(lens: Lens, r_mm: Float, *, film_mm: float | None, wavelength_nm: float | None = None) -> tuple[Any, Float]:
@@ -119,19 +122,27 @@ def beam(lens: Lens, r_mm: Float, *, film_mm: float | None, wavelength_nm: float
     weight_sr : (r, rays)
         cos^4(theta) / z^2 dA by Gauss-Legendre rings and equal azimuths; a row sums to E/L.
     """
+    x, y, area, z = pupil_points(lens, r_mm, film_mm=film_mm, wavelength_nm=wavelength_nm)
+    slope = np.stack([x / z, (y - r_mm[:, None]) / z])
+    cosine = 1 / np.sqrt(1 + (slope**2).sum(axis=0))
+    start = np.stack([np.zeros_like(x), np.broadcast_to(r_mm[:, None], x.shape)]).reshape(2, -1)
+    rays = lens.trace(start, (slope * cosine).reshape(2, -1), film_mm=film_mm, wavelength_nm=wavelength_nm)
+    return rays, area * cosine**4 / z**2
+
+
+def pupil_points(
+    lens: Lens, r_mm: Float, *, film_mm: float | None, wavelength_nm: float | None = None, turn_rad: ArrayLike = 0.0
+) -> tuple[Float, Float, Float, float]:
+    """Places on the ray-pass plane that film points (0, r) see: x, y in mm and area in mm2, (r, rays); its distance in mm."""
     z = lens.table(wavelength_nm).region.plane_distance_mm + lens.film_offset_mm(film_mm)
-    middle, rho, angle = rim(lens, r_mm, film_mm=film_mm, wavelength_nm=wavelength_nm)
+    middle, rho, angle = rim(lens, r_mm, film_mm=film_mm, wavelength_nm=wavelength_nm, turn_rad=turn_rad)
     node, gauss = np.polynomial.legendre.leggauss(RINGS)
     s, ds = ((node + 1) / 2)[:, None], (gauss / 2)[:, None]
     shape = (len(r_mm), RINGS * AZIMUTHS)
     x = (s * (rho * np.cos(angle))[:, None, :]).reshape(shape)
     y = middle + (s * (rho * np.sin(angle))[:, None, :]).reshape(shape)
     area = (s * ds * (rho**2)[:, None, :] * (2 * np.pi / AZIMUTHS)).reshape(shape)
-    slope = np.stack([x / z, (y - r_mm[:, None]) / z])
-    cosine = 1 / np.sqrt(1 + (slope**2).sum(axis=0))
-    start = np.stack([np.zeros_like(x), np.broadcast_to(r_mm[:, None], x.shape)]).reshape(2, -1)
-    rays = lens.trace(start, (slope * cosine).reshape(2, -1), film_mm=film_mm, wavelength_nm=wavelength_nm)
-    return rays, area * cosine**4 / z**2
+    return x, y, area, float(z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,16 +179,6 @@ class LensView:
         slope = _smooth(self.heights_mm, self.slope, r)
         crossing = _smooth(self.heights_mm, self.crossing_mm, r)
         return np.asarray(slope + crossing / (np.asarray(depth_m, float) * 1e3))
-
-    def tangent_per_mm(self, r_mm: float, depth_m: float) -> tuple[float, float]:
-        """Change of the scene's tangent per mm of film, along the radius and across it.
-
-        Taken no nearer to the axis than a tenth of the reach, where a fitted polynomial may have a kink.
-        """
-        r, step = max(r_mm, 0.1 * float(self.heights_mm[-1])), 0.01 * float(self.heights_mm[-1])
-        low, here, high = self.scene_tangent(np.array([r - step, r, r + step]), depth_m)
-        across = here / r if r_mm >= r else (high - low) / (2 * step)
-        return float((high - low) / (2 * step)), float(across)
 
     def object_m(self, depth_m: float) -> float:
         """Distance from the front vertex of something at a depth from the entrance pupil."""

@@ -37,18 +37,20 @@ def frames(cfa: str) -> list[Capture]:
 
 
 def standard_way(captures: list[Capture]) -> list[tuple[float, float]]:
+    """Mean and variance of every level and plane; a mosaic is taken apart first, as that implementation has one plane only."""
+    step = 1 if captures[0].sensor.cfa == "MONO" else 2
     out = []
-    for first, second in zip(captures[::2], captures[1::2], strict=True):
-        total, squares, difference, before = np.zeros(SHAPE, np.int64), np.zeros(SHAPE, np.int64), 0.0, None
-        for capture in (first, second):
-            values = capture.mosaic.astype(np.int64)
-            total += values
-            squares += np.square(values)
-            if before is not None:
-                difference += np.mean(values) - np.mean(before)
-            before = values
-        pseudo = 2 * (2 * squares - np.square(total))
-        out.append((float(total.sum()) / (2 * total.size), float(pseudo.sum()) / (4 * total.size) - difference**2 / 2))
+    for pair in zip(captures[::2], captures[1::2], strict=True):
+        for row in range(step):
+            for col in range(step):
+                total, squares = 0, 0
+                for capture in pair:
+                    values = capture.mosaic[row::step, col::step].astype(np.int64)
+                    total += values
+                    squares += np.square(values)
+                pseudo = 2 * (2 * squares - np.square(total))
+                size = total.size
+                out.append((float(np.sum(total)) / (2 * size), float(np.sum(pseudo)) / (4 * size)))
     return out
 
 

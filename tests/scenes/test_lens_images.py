@@ -172,8 +172,8 @@ def test_both_paths_agree_for_the_textbook_lens(focus_m, depth_m, fast_variant):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("film_mm", [0.520, 0.49234])
-@pytest.mark.parametrize("crop", [(1480, 2300, 64, 72), (1480, 3000, 64, 72), (400, 500, 64, 72)])
+@pytest.mark.parametrize("film_mm", [0.520, 0.49234, 0.547])
+@pytest.mark.parametrize("crop", [(1470, 1990, 64, 72), (1480, 2120, 64, 72), (1480, 3000, 64, 72), (400, 500, 64, 72)])
 def test_both_paths_agree_for_the_published_lens(film_mm, crop, fast_variant):
     level, difference = agreement(pixel_4a(), film_mm, crop, 0.5)
     assert abs(level) < 0.01

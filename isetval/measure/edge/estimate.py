@@ -1,291 +1,345 @@
-"""The default estimator: location, shading, noise and ESF in a few alternating passes."""
+"""The default estimator: location, shading, noise and ESF of a stack of regions in a few alternating passes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge import smooth
-from isetval.measure.edge.locate import EdgeLine, FirstLook
-from isetval.measure.edge.refine import (
-    TABLE_REACH,
-    TABLE_STEP,
-    Core,
-    Geometry,
-    NoiseLevel,
-    RowShifts,
-    SideNoise,
-    along_edge,
-    core_of,
-    distances,
-    esf_table,
-    fit_along,
-    gain_at,
-    gain_of,
-    gather,
-    noise_level,
-    normal_distance,
-    row_shifts,
-    thinned,
-    update_line,
-)
-from isetval.measure.edge.samples import Samples
-from isetval.measure.edge.smooth import Binned, EsfFit, fit_esf
+from isetval.measure.edge import basis, transform
+from isetval.measure.edge.gather import Binned, gather, noise_level
+from isetval.measure.edge.locate import FirstLooks, thinning
+from isetval.measure.edge.rough import common_error, locate, start_shapes
+from isetval.measure.edge.rows import core_of, core_view, row_shifts, update_lines
+from isetval.measure.edge.shading import SideNoise, fit_along, gain_of
+from isetval.measure.edge.shape import Shapes, grid
+from isetval.measure.edge.smooth import EsfFits, fit_esf
+from isetval.measure.edge.stack import EdgeLines, Index, RowPolynomials, Stack, clip, distances
 
 Float = NDArray[np.floating[Any]]
 
-MIN_WIDTH_PX = 0.2
-QUARTILES = slice(128, -128)  # the inner half of the table: 4 widths on either side
 PASSES = 8
-MOVES = 6
-THINNED = 3500
 POLISH = 3
-LINE_DONE_PX = 2e-4
+LINE_DONE_PX, LINE_DONE_SIGMA = 2e-4, 0.15
 MODEL_ERROR = 2e-5
-MOVING_ERROR = 2e-3
-ALONG_DONE = 0.0005
-ACROSS_DONE = 0.0007
+ALONG_DONE, ACROSS_DONE = 0.0005, 0.0007
+PLAIN_LIGHT = 0.02
+MAX_GAIN = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """Everything that the fit of one edge found."""
+class Estimates:
+    """Everything that the fit of a stack found; lines count from the regions' origins, arrays (regions, ...).
 
-    geometry: Geometry
-    fit: EsfFit
-    noise: NoiseLevel
+    ``names`` are the regions' places in the stack that was asked for; ``scatter_dn`` of the values about their
+    cells' means; ``near_px`` distances of the samples near the edge; ``information`` on the edges' place, 1/px^2.
+    """
+
+    names: Index
+    stack: Stack
+    lines: EdgeLines
+    gain: Float
+    half_px: float
+    fits: EsfFits
+    noise: SideNoise
+    scatter_dn: Float
+    distance_px: Float
+    near_px: Float
+    information: Float
+    row_chi2: Float
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def reach_px(self) -> tuple[Float, Float]:
+        """Least and largest distance from the edge."""
+        ends = self.distance_px[:, :, [0, -1]].reshape(len(self), -1)
+        return ends.min(axis=1), ends.max(axis=1)
+
+    @cached_property
+    def slope(self) -> Float:
+        """dx/dy of the edges at their middles."""
+        return self.lines.middle[1]
+
+    @cached_property
+    def angle_deg(self) -> Float:
+        """Angle from the nearer pixel axis, 0 to 45."""
+        angle = np.degrees(np.arctan(np.abs(self.slope)))
+        return np.asarray(np.minimum(angle, 90 - angle))
+
+    @property
+    def edge_sigma_px(self) -> Float:
+        """Standard deviation of the edge's place."""
+        return np.asarray(1 / np.sqrt(np.maximum(self.information, 1e-300)))
+
+    @property
+    def roughness_px(self) -> Float:
+        """Scatter of the edge's place from row to row beyond the noise."""
+        extra = (self.row_chi2 - 1) * len(self.stack.y_px) / np.maximum(self.information, 1e-300)
+        return np.asarray(np.sqrt(np.fmax(extra, 0.0)))
+
+    def pick(self, index: Index) -> Estimates:
+        """Those of some regions."""
+        return Estimates(
+            names=self.names[index],
+            stack=self.stack.pick(index),
+            lines=self.lines.pick(index),
+            gain=self.gain[index],
+            half_px=self.half_px,
+            fits=self.fits.pick(index),
+            noise=self.noise.pick(index),
+            scatter_dn=self.scatter_dn[index],
+            distance_px=self.distance_px[index],
+            near_px=self.near_px[index],
+            information=self.information[index],
+            row_chi2=self.row_chi2[index],
+        )
+
+    def choices(self, i: int) -> dict[str, Any]:
+        """What the data chose for region ``i``."""
+        return {
+            "order": int(self.lines.order[i]),
+            "width_index": transform.width_index(float(self.fits.width_px[i])),
+            "even": float(self.fits.even[i]),
+            "odd": float(self.fits.odd[i]),
+            "light": float(self.fits.light[i]),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What stays the same while a stack is fitted."""
+
+    stack: Stack
+    p: RowPolynomials
+    thin: int
+    bright: Float
+    floor: float
+    chosen: dict[str, Any]
+
+    def pick(self, index: Index) -> _Task:
+        return _Task(self.stack.pick(index), self.p.pick(index), self.thin, self.bright[index], self.floor, self.chosen)
+
+    @property
+    def half_px(self) -> float:
+        rows, n = self.stack.values.shape[1:]
+        return float(0.5 * max(self.stack.step_px * n, self.stack.row_step_px * rows))
+
+    @property
+    def order(self) -> int | None:
+        return self.chosen.get("order")
+
+    def along(self, lines: EdgeLines, gain: Float, width_px: Float) -> tuple[Float, SideNoise]:
+        some = self.stack.every(self.thin)
+        p = self.p.every(self.stack.start(self.thin), self.thin)
+        return fit_along(some, lines, p, gain=gain, half_px=self.half_px, width_px=width_px)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where a stack stands: lines, illumination, noise seen along the edge, ESF shapes on the core grid."""
+
+    lines: EdgeLines
+    gain: Float
+    sides: SideNoise
+    shapes: Shapes
+
+    def pick(self, index: Index) -> _State:
+        return _State(self.lines.pick(index), self.gain[index], self.sides.pick(index), self.shapes.pick(index))
+
+
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """Fits of all samples."""
+
+    fits: EsfFits
+    shapes: Shapes
+    noise: SideNoise
     binned: Binned
     distance_px: Float
-    roughness_px: float
-    edge_sigma_px: float
-    choices: Mapping[str, Any]
+
+    def pick(self, index: Index) -> _Whole:
+        return _Whole(
+            self.fits.pick(index),
+            self.shapes.pick(index),
+            self.noise.pick(index),
+            self.binned.pick(index),
+            self.distance_px[index],
+        )
 
 
-def measure_edge(samples: Samples, look: FirstLook, *, floor: float, choices: Mapping[str, Any] | None = None) -> Estimate:
-    """Fit geometry, shading, noise and ESF.
+def measure_edges(
+    stack: Stack, looks: FirstLooks, width_px: Float, *, floor: float, choices: Mapping[str, Any] | None = None
+) -> list[Estimates]:
+    """Fit geometry, shading, noise and ESF of every region; those that rested together come together.
 
     Parameters
     ----------
-    samples : Samples
-    look : FirstLook
+    stack : Stack
+    looks : FirstLooks
+    width_px : (regions,)
+        First widths.
     floor : float
         Least variance of a sample, DN^2 (rounding).
     choices : mapping or None
         Order, width and amplitudes chosen on another capture.
     """
     chosen = dict(choices or {})
-    line = look.line
-    if chosen.get("order") is not None and line.order > chosen["order"]:
-        line = line.with_coefficients(line.coefficients[: chosen["order"] + 1])
-    half = 0.5 * max(samples.step_px * samples.values.shape[1], samples.row_step_px * len(samples.y_px))
-    task = _Task(samples, thinned(samples, THINNED), look.bright - look.dark, look.bright, floor, chosen)
-    width = first_width(task.some, line, look)
-    geometry, sides = fit_along(task.some, Geometry(line, half_px=half), width)
-    for _ in range(PASSES):
-        moved = locate(task, geometry, width=width, sides=sides)
-        geometry, width = moved.geometry, moved.width_px
-        before = geometry
-        geometry, sides = fit_along(task.some, geometry, width)
-        whole = _whole(task, geometry, width, moved.fit)
-        if _lit_alike(task, before, geometry, whole):
-            break
-        across = [float(np.clip(g + c, -0.8, 0.8)) for g, c in zip(geometry.gain[3:], whole.fit.coefficients[2:4], strict=True)]
-        geometry = Geometry(geometry.line, (*geometry.gain[:3], across[0], across[1]), half)
-    whole, geometry, shifts, row_chi2 = _polished(task, geometry, whole, sides)
-    fit = whole.fit
-    made = {
-        "order": geometry.line.order,
-        "width_index": smooth.width_index(fit.width_px),
-        "even": fit.even,
-        "odd": fit.odd,
-        "light": fit.light,
-    }
-    information = max(float(shifts.weight.sum()), 1e-300)
-    roughness = float(np.sqrt(max((row_chi2 - 1) * len(samples.y_px) / information, 0.0)))
-    edge_sigma = float(1 / np.sqrt(information))
-    return Estimate(geometry, fit, whole.noise, whole.binned, whole.distance_px, roughness, edge_sigma, made)
+    lines = looks.lines
+    if chosen.get("order") is not None:
+        top = np.minimum(lines.order, chosen["order"])
+        lines = lines.moved(np.where(np.arange(lines.coefficients.shape[1]) <= top[:, None], lines.coefficients, 0.0), top)
+    task = _Task(stack, looks.p, thinning(stack), looks.bright, floor, chosen)
+    gain, sides = task.along(lines, np.zeros((len(stack), 5)), width_px)
+    shapes = start_shapes(looks.dark, looks.bright - looks.dark, transform.tabulated(width_px))
+    out: list[Estimates] = []
+    _passes(task, _State(lines, gain, sides, shapes), np.arange(len(stack)), out)
+    return out
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """What stays the same while one edge is fitted."""
-
-    samples: Samples
-    some: Samples
-    step: float
-    bright: float
-    floor: float
-    chosen: dict[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class _Whole:
-    """Fit of all samples."""
-
-    fit: EsfFit
-    noise: NoiseLevel
-    binned: Binned
-    distance_px: Float
+def _passes(task: _Task, state: _State, names: Index, out: list[Estimates]) -> None:
+    """Location, illumination and ESF in turns; regions whose illumination rests leave the stack."""
+    for turn in range(PASSES):
+        state = _relocated(task, state)
+        before = state.gain
+        state = _lit_again(task, state, always=turn > 0)
+        whole = _whole(task, state)
+        rest = _lit_alike(task, before, state.gain, whole) | (turn == PASSES - 1)
+        if rest.all():
+            _finish(task, state, whole, names, out)
+            return
+        done, left = np.flatnonzero(rest), np.flatnonzero(~rest)
+        if len(done):
+            _finish(task.pick(done), state.pick(done), whole.pick(done), names[done], out)
+        gain = state.gain.copy()
+        gain[:, 3:] = clip(gain[:, 3:] + whole.fits.shading, -MAX_GAIN, MAX_GAIN)
+        state = _State(state.lines, gain, state.sides, whole.shapes).pick(left)
+        task, names = task.pick(left), names[left]
 
 
-def _lit_alike(task: _Task, before: Geometry, after: Geometry, whole: _Whole) -> bool:
-    """Whether the illumination has stopped changing, up to its own noise."""
-    noisy = 3 * float(np.sqrt(whole.noise.bright / task.some.values.size)) / task.bright
-    change = max(abs(a - b) for a, b in zip(before.gain[:3], after.gain[:3], strict=True))
-    return change < ALONG_DONE + noisy and float(np.abs(whole.fit.coefficients[2:4]).max()) < ACROSS_DONE + 5 * noisy
+def _relocated(task: _Task, state: _State) -> _State:
+    found = locate(
+        task.stack,
+        task.p,
+        state.lines,
+        shapes=state.shapes,
+        gain=state.gain,
+        half_px=task.half_px,
+        noise=state.sides,
+        floor=task.floor,
+        order=task.order,
+    )
+    return _State(found.lines, state.gain, state.sides, found.shapes.stretched(transform.tabulated(found.width_px)))
 
 
-def _polished(task: _Task, geometry: Geometry, whole: _Whole, sides: SideNoise) -> tuple[_Whole, Geometry, RowShifts, float]:
-    """Line once more against the final ESF, and the ESF again if the line still moves."""
-    samples, order = task.samples, task.chosen.get("order")
-    for turn in range(POLISH + 1):
-        core = core_of(samples, geometry.line, whole.fit.width_px)
-        values, distance, cosine = core_values(samples, geometry, core)
-        noise = SideNoise(whole.noise.dark, whole.noise.bright)
-        shifts = row_shifts(core, values, distance_px=distance, cosine=cosine, fit=whole.fit, noise=noise)
-        line, row_chi2 = update_line(geometry.line, samples, shifts, order=order)
-        moved = _moved(geometry.line, line)
-        if turn == POLISH or moved < LINE_DONE_PX + 0.15 / np.sqrt(max(float(shifts.weight.sum()), 1e-9)):
-            break
-        geometry = Geometry(line, geometry.gain, geometry.half_px)
-        whole = _whole(task, geometry, whole.fit.width_px, whole.fit)
-    return whole, geometry, shifts, row_chi2
+def _lit_again(task: _Task, state: _State, *, always: bool) -> _State:
+    """Illumination along the edge from the new line, where it is more than little."""
+    redo = (np.abs(state.gain[:, :3]).max(axis=1) > PLAIN_LIGHT) | always
+    if not redo.any():
+        return state
+    gain, sides = task.along(state.lines, state.gain, state.shapes.width_px)
+    noise = (np.where(redo, new, old) for new, old in ((sides.dark, state.sides.dark), (sides.bright, state.sides.bright)))
+    return _State(state.lines, np.where(redo[:, None], gain, state.gain), SideNoise(*noise), state.shapes)
 
 
-@dataclass(frozen=True, eq=False)
-class Located:
-    """Where the edge is, its width and its rough ESF."""
-
-    geometry: Geometry
-    width_px: float
-    fit: EsfFit
-
-
-def core_values(samples: Samples, geometry: Geometry, core: Core) -> tuple[Float, Float, Float]:
-    """Values with the illumination removed and distances of the core's samples (rows, k); cosine of the slope (rows,)."""
-    x, slope, bend = geometry.line.at_rows(samples)
-    distance = normal_distance(core.x_px - x[:, None], geometry.line, slope=slope, bend=bend)
-    row, column = along_edge(samples, geometry.line)
-    values = core.values / gain_at(geometry, row + column[core.column], distance)
-    return values, distance, geometry.line.sign / np.sqrt(1 + slope**2)
+def _lit_alike(task: _Task, before: Float, after: Float, whole: _Whole) -> NDArray[np.bool_]:
+    """Where the illumination has stopped changing, up to its own noise."""
+    samples = task.stack.values[0, task.stack.start(task.thin) :: task.thin].size
+    noisy = 3 * np.sqrt(whole.noise.bright / samples) / task.bright
+    change = np.abs(before - after)[:, :3].max(axis=1)
+    rest = (change < ALONG_DONE + noisy) & (np.abs(whole.fits.shading).max(axis=1) < ACROSS_DONE + 5 * noisy)
+    return np.asarray(rest)
 
 
-def locate(task: _Task, geometry: Geometry, *, width: float, sides: SideNoise) -> Located:
-    """Refine the line on the samples near it: ESF and line in turns until both rest."""
-    samples, floor = task.samples, task.floor
-    sides = SideNoise(max(sides.dark, floor), max(sides.bright, floor))
-    core = core_of(samples, geometry.line, width)
-    anchor = geometry.line.coefficients[0]
-    fit: EsfFit | None = None
-    for turn in range(MOVES):
-        width = smooth.width_of(smooth.width_index(width))
-        if turn and abs(geometry.line.coefficients[0] - anchor) > 1.0 + 0.5 * width:
-            core, anchor = core_of(samples, geometry.line, width), geometry.line.coefficients[0]
-        values, distance, cosine = core_values(samples, geometry, core)
-        binned = gather(values, distance, width) if core.whole else gather(values[core.inside], distance[core.inside], width)
-        level = np.clip(_level(binned, fit), 0, 1)
-        variance = sides.dark + (sides.bright - sides.dark) * level
-        variance = variance + binned.number * _common_error(sides, floor, task.step, full=False)
-        fit = fit_esf(binned, variance, shading=None, scale=task.step, full=False)
-        shifts = row_shifts(core, values, distance_px=distance, cosine=cosine, fit=fit, noise=sides)
-        line, _ = update_line(geometry.line, samples, shifts, order=task.chosen.get("order"))
-        center, wide = center_and_width(fit)
-        line = _shifted(line, center)
-        moved = _moved(geometry.line, line)
-        geometry = Geometry(line, geometry.gain, geometry.half_px)
-        old, width = width, wide
-        enough = 2e-4 + 0.2 / np.sqrt(max(float(shifts.weight.sum()), 1e-9))
-        if moved < enough and abs(width / old - 1) < 0.03:
-            break
-    assert fit is not None
-    return Located(geometry, width, fit)
-
-
-def _whole(task: _Task, geometry: Geometry, width: float, rough: EsfFit) -> _Whole:
-    """The ESF from all samples."""
+def _whole(task: _Task, state: _State) -> _Whole:
+    """The ESFs from all samples."""
+    shapes, width = state.shapes, state.shapes.width_px
     if "width_index" in task.chosen:
-        width = smooth.width_of(int(task.chosen["width_index"]))
-    width = smooth.width_of(smooth.width_index(width))
-    distance = distances(task.samples, geometry.line)
-    binned = gather(task.samples.values / gain_of(task.samples, geometry, distance), distance, width)
-    noise = noise_level(binned, floor=max(task.floor, (1e-5 * rough.step) ** 2))
-    level = _level(binned, rough)
-    variance = noise.at(level) + binned.number * _common_error(noise, task.floor, rough.step, full=True)
-    place = binned.distance * (width / geometry.half_px)
-    light = rough.dark + rough.step * level
-    # illumination across the edge that was already divided out must not be held against the rest
-    lights = smooth.LIGHTS[:1] if any(geometry.gain[3:]) else smooth.LIGHTS
-    shading = np.column_stack([light * place, light * place**2])
-    fit = fit_esf(binned, variance, shading=shading, scale=rough.step, choices=task.chosen, lights=lights, full=True)
-    return _Whole(fit, noise, binned, distance)
+        width = np.full(len(width), transform.width_of(int(task.chosen["width_index"])))
+    distance = distances(task.stack, state.lines, task.p)
+    light = gain_of(task.stack, state.lines, state.gain, task.half_px)
+    binned = gather(np.divide(task.stack.values, light, out=light), distance, width)
+    noise = noise_level(binned, floor=np.maximum(task.floor, (1e-5 * shapes.step) ** 2))
+    level = shapes.at(binned.distance * (width / shapes.width_px)[:, None, None])[0]
+    common = common_error(noise, task.floor, MODEL_ERROR * shapes.step)[:, None, None]
+    place = binned.distance * (width / task.half_px)[:, None, None]
+    variance = noise.at(level) + binned.number * common
+    level *= shapes.step[:, None, None]
+    level += shapes.dark[:, None, None]
+    level *= place
+    fits = fit_esf(
+        binned,
+        variance,
+        shading=(level, level * place),
+        scale=shapes.step,
+        # illumination across the edge that was already divided out must not be held against the rest
+        lit=np.asarray(state.gain[:, 3:].any(axis=1)),
+        choices=task.chosen,
+    )
+    return _Whole(fits, _table(fits), noise, binned, distance)
 
 
-def _shifted(line: EdgeLine, normal_px: float) -> EdgeLine:
-    """The line moved along its normal, so that the ESF passes its middle at 0."""
-    c = line.coefficients.copy()
-    c[0] += normal_px * line.sign * float(np.hypot(1, line.middle()[1]))
-    return line.with_coefficients(c)
+def _table(fits: EsfFits) -> Shapes:
+    """ESFs on the core grid."""
+    value, slope = _grid_splines()
+    step = np.where(np.abs(fits.step) > 0, fits.step, 1e-300)[:, None]
+    relative = fits.splines - fits.dark[:, None]
+    relative /= step
+    return Shapes(fits.dark, fits.step, fits.width_px, relative @ value.T, relative @ slope.T)
 
 
-def _moved(old: EdgeLine, new: EdgeLine) -> float:
-    """Largest change of a coefficient, px."""
-    n = max(len(old.coefficients), len(new.coefficients))
-    a, b = np.zeros(n), np.zeros(n)
-    a[: len(old.coefficients)] = old.coefficients
-    b[: len(new.coefficients)] = new.coefficients
-    return float(np.abs(a - b).max())
+@lru_cache(maxsize=1)
+def _grid_splines() -> tuple[Float, Float]:
+    return basis.spline_matrix(grid()), basis.spline_matrix(grid(), derivative=1)
 
 
-def _common_error(noise: NoiseLevel | SideNoise, floor: float, scale: float, *, full: bool) -> float:
-    """Variance of a cell's mean that more samples do not lower, DN^2.
-
-    Rounding errors of samples at one phase are equal unless noise dithers them (their correlation falls
-    as exp(-4 pi^2 variance), variance in DN^2).  While the line is still moving, a wrong slope makes a
-    staircase that a stiff ESF must not follow.
-    """
-    dither = max(min(noise.dark, noise.bright) - floor, 0.0)
-    rounding = floor * float(np.exp(-4 * np.pi**2 * min(dither, 10.0)))
-    return rounding + ((MODEL_ERROR if full else MOVING_ERROR) * scale) ** 2
-
-
-def _level(binned: Binned, fit: EsfFit | None) -> Float:
-    """Relative level of every cell, 0 dark to 1 bright: of the last fit, at first a rough shape."""
-    if fit is None:
-        return np.asarray(0.5 + 0.5 * np.tanh(binned.distance))
-    return smooth.relative_level(binned, fit)
-
-
-def first_width(samples: Samples, line: EdgeLine, look: FirstLook) -> float:
-    """Width from a plain histogram ESF of half-pixel bins."""
-    distance = distances(samples, line)
-    step = 0.5 * samples.step_px
-    place = np.rint(distance / step).astype(np.int64)
-    low = int(place.min())
-    place = (place - low).ravel()
-    number = np.bincount(place)
-    mean = np.bincount(place, samples.values.ravel())[number > 0] / number[number > 0]
-    x = (np.flatnonzero(number) + low) * step
-    level = (mean - look.dark) / (look.bright - look.dark)
-    middle = int(np.argmin(np.abs(x)))
-    up = np.flatnonzero(level[middle:] > 0.75)
-    down = np.flatnonzero(level[: middle + 1] < 0.25)
-    right = x[middle + up[0]] if len(up) else x[-1]
-    left = x[down[-1]] if len(down) else x[0]
-    width = max(right - left - step, step) / 1.349
-    return float(np.clip(width, MIN_WIDTH_PX, 60.0))
+def _finish(task: _Task, state: _State, whole: _Whole, names: Index, out: list[Estimates]) -> None:
+    """Lines once more against the final ESFs, and the ESFs again while lines still move."""
+    for turn in range(POLISH + 1):
+        shapes = whole.shapes
+        core = core_of(task.stack, state.lines, task.p, shapes.width_px)
+        view = core_view(task.stack, core, state.lines, task.p, gain=state.gain, half_px=task.half_px)
+        shifts = row_shifts(core, view, shapes, whole.noise)
+        orders = None if task.order is None else np.full(len(names), task.order)
+        new, row_chi2 = update_lines(state.lines, task.p, shifts, order=orders)
+        moved = np.abs(new.coefficients - state.lines.coefficients).max(axis=1)
+        enough = LINE_DONE_PX + LINE_DONE_SIGMA / np.sqrt(np.maximum(shifts.information, 1e-9))
+        rest = ~(moved >= enough) | (turn == POLISH)
+        estimates = _estimates(
+            task, state, whole, names, near_px=view.distance, information=shifts.information, row_chi2=row_chi2
+        )
+        if rest.all():
+            out.append(estimates)
+            return
+        done, left = np.flatnonzero(rest), np.flatnonzero(~rest)
+        if len(done):
+            out.append(estimates.pick(done))
+        state = _State(new, state.gain, state.sides, whole.shapes).pick(left)
+        task, names = task.pick(left), names[left]
+        whole = _whole(task, state)
 
 
-def center_and_width(fit: EsfFit) -> tuple[float, float]:
-    """Place of half the step and interquartile width / 1.349 of the fitted ESF, px."""
-    esf, _ = esf_table(fit)
-    level = np.maximum.accumulate((esf[QUARTILES] - fit.dark) * (1 / fit.step))
-    if level[0] > 0.2 or level[-1] < 0.8:
-        return 0.0, fit.width_px
-    z = (np.arange(len(esf))[QUARTILES]) * TABLE_STEP - TABLE_REACH
-    low, center, high = np.interp([0.25, 0.5, 0.75], level, z)
-    ratio = min(max(float(high - low) / 1.349, 0.5), 2.0)
-    return float(center) * fit.width_px, max(ratio * fit.width_px, MIN_WIDTH_PX)
+def _estimates(
+    task: _Task, state: _State, whole: _Whole, names: Index, *, near_px: Float, information: Float, row_chi2: Float
+) -> Estimates:
+    binned = whole.binned
+    scatter, number = (part.reshape(len(names), -1).sum(axis=1) for part in (binned.scatter, binned.number))
+    return Estimates(
+        names=names,
+        stack=task.stack,
+        lines=state.lines,
+        gain=state.gain,
+        half_px=task.half_px,
+        fits=whole.fits,
+        noise=whole.noise,
+        scatter_dn=np.sqrt(scatter / number),
+        distance_px=whole.distance_px,
+        near_px=near_px,
+        information=information,
+        row_chi2=row_chi2,
+    )

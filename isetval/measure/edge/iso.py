@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, black_image_dn, plane_view
 from isetval.core.sensor import BAYER_PLANES
-from isetval.measure.edge import analysis, spectrum
-from isetval.measure.edge.locate import first_look
+from isetval.measure.edge import report, spectrum
+from isetval.measure.edge.locate import first_look, first_width
 from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.samples import Samples, is_horizontal, plane_samples
-from isetval.measure.edge.verdict import not_an_edge, too_small
+from isetval.measure.edge.stack import stacked
+from isetval.measure.edge.verdict import prospects, too_small
 
 Float = NDArray[np.floating[Any]]
 
@@ -59,19 +60,20 @@ def compatibility_sfr(capture: Capture, roi: Roi, *, channel: str, method: str) 
     small = too_small(samples, "MONO" if label == "luminance" else channel)
     if small:
         return _refuse(capture, roi, label, method, code="roi_too_small", sentence=small)
-    look = first_look(samples)
-    nothing = not_an_edge(samples, look)
-    if nothing or look is None:
-        code, sentence = nothing or ("no_edge", "no edge")
+    stack = stacked([samples])
+    look = first_look(stack)
+    nothing = prospects(stack, look, first_width(stack, look)).reasons[0]
+    if nothing:
+        code, sentence = nothing
         return _refuse(capture, roi, label, method, code=code, sentence=sentence)
     if samples.clipped_high.mean() > 0.04:
         sentence = f"{100 * samples.clipped_high.mean():.0f} % of the region is at the white level; expose less"
         return _refuse(capture, roi, label, method, code="saturated", sentence=sentence)
-    return _report(capture, roi, label, method, samples=samples, sign=look.line.sign, procedure=procedure)
+    return _report(capture, roi, label, method, samples=samples, sign=float(look.lines.sign[0]), procedure=procedure)
 
 
 def _refuse(capture: Capture, roi: Roi, channel: str, method: str, *, code: str, sentence: str) -> SfrResult:
-    return analysis.refused(capture, roi, channel=channel, flags={code: sentence}, method=method)
+    return report.refused(capture, roi, channel=channel, flags={code: sentence}, method=method)
 
 
 def _luminance(capture: Capture, roi: Roi) -> Samples:
@@ -209,9 +211,9 @@ def _report(
     if procedure.grid_cy_mm is not None:
         sigma = np.hypot(sigma, procedure.grid_cy_mm * pixel_um * 1e-3 / np.sqrt(12))  # a value on a grid
     _, _, esf, distance, angle = _curve(samples, procedure, sign)
-    normal = analysis.normal_direction(float(np.tan(np.radians(angle))), sign, transposed=samples.transposed)
+    normal = report.normal_direction(float(np.tan(np.radians(angle))), sign, transposed=samples.transposed)
     low, high = (float(np.mean(part)) for part in (esf[: len(esf) // 8], esf[-(len(esf) // 8) :]))
-    empty = analysis.refused(capture, roi, channel=channel, flags={}, method=method)
+    empty = report.refused(capture, roi, channel=channel, flags={}, method=method)
     middle_row, middle_col = float(samples.y_px.mean()), float(samples.x_px.mean())
     lsf = np.gradient(esf, distance) / (high - low)
     return replace(
@@ -227,7 +229,7 @@ def _report(
         mtf10_sigma=float(sigma[2]),
         mtf50p_cy_px=float(found[3]),
         mtf50p_sigma=float(sigma[3]),
-        angle_deg=analysis.folded_angle(normal),
+        angle_deg=report.folded_angle(normal),
         orientation="horizontal" if samples.transposed else "vertical",
         normal_deg=normal,
         profile=(distance * sign, esf, lsf * sign),

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge import basis, smooth
-from isetval.measure.edge.smooth import FREE, FREQUENCIES, FREQUENCY_STEP, EsfFit
+from isetval.measure.edge import basis, smooth, transform
+from isetval.measure.edge.smooth import EsfFit, EsfFits
+from isetval.measure.edge.transform import FREQUENCIES, FREQUENCY_STEP
 
 Float = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex128]
@@ -22,12 +23,23 @@ def default_frequency() -> Float:
 
 def mtf_of(fit: EsfFit, frequency_cy_px: Float) -> Float:
     """MTF along the normal, 1 at frequency 0, (frequencies,)."""
-    return np.asarray(np.abs(smooth.spectra(fit.width_px, frequency_cy_px) @ fit.shape) / abs(fit.step))
+    return np.asarray(np.abs(transform.spectra(fit.width_px, frequency_cy_px) @ fit.shape) / abs(fit.step))
+
+
+def default_curves(fits: EsfFits) -> Float:
+    """MTFs at the default frequencies, (regions, frequencies)."""
+    out = np.empty((len(fits.step), FREQUENCIES))
+    even, odd = transform.shape_places_by_symmetry()
+    for row, width, c in zip(out, fits.width_px, fits.coefficients, strict=True):
+        real, imaginary = transform.default_parts(transform.width_index(width))
+        np.hypot(real @ c[even], imaginary @ c[odd], out=row)
+    out /= np.abs(fits.step)[:, None]
+    return out
 
 
 def mtf_gradient(fit: EsfFit, frequency_cy_px: Float) -> Float:
     """Derivative of the MTF by mean shape and modes, (frequencies, 1 + modes)."""
-    return _gradient(fit, smooth.spectra(fit.width_px, frequency_cy_px))
+    return _gradient(fit, transform.spectra(fit.width_px, frequency_cy_px))
 
 
 def _gradient(fit: EsfFit, columns: Complex) -> Float:
@@ -41,53 +53,72 @@ def _gradient(fit: EsfFit, columns: Complex) -> Float:
 def gradient_variance(fit: EsfFit, gradient: Float) -> Float:
     """Posterior variance of linear functions of mean shape and modes, (functions,)."""
     full = np.zeros((len(gradient), len(fit.coefficients)))
-    full[:, 1], full[:, FREE:] = gradient[:, 0], gradient[:, 1:]
+    full[:, transform.shape_places()] = gradient
     half = smooth.solve_lower(fit.lower, (full * fit.mode_root).T)
     return np.asarray(np.einsum("ij,ij->j", half, half))
 
 
 def shape_covariance(fit: EsfFit, *, kind: str) -> Float:
     """Covariance of mean shape and modes: ``posterior``, or ``sampling`` (pixel noise through the same weights)."""
-    keep = np.concatenate([[1], np.arange(FREE, len(fit.coefficients))])
+    keep = transform.shape_places()
     full = fit.covariance if kind == "posterior" else fit.sampling_covariance
     return np.asarray(full[np.ix_(keep, keep)])
 
 
-@dataclass(frozen=True)
-class Crossing:
-    """First frequency at which the curve falls to a level, and its standard deviation; NaN if it never does."""
-
-    value: float
-    sigma: float
-
-
 def first_crossing(frequency: Float, curve: Float, level: float) -> float:
     """First fall of ``curve`` to ``level``, by linear interpolation; NaN if it stays above."""
-    below = np.flatnonzero(curve < level)
-    if not len(below) or below[0] == 0:
-        return float("nan")
-    i = int(below[0])
-    part = (curve[i - 1] - level) / (curve[i - 1] - curve[i])
-    return float(frequency[i - 1] + part * (frequency[i] - frequency[i - 1]))
+    found = first_crossings(frequency, curve[None], np.array([[level]]))
+    return float(found[0, 0])
 
 
-def crossings(fit: EsfFit, frequency: Float, *, curve: Float, levels: Float) -> list[Crossing]:
-    """Crossings of several levels, polished by a Newton step on the exact transform."""
-    rough = np.array([first_crossing(frequency, curve, level) for level in levels])
-    found = np.isfinite(rough)
-    out = [Crossing(float("nan"), float("nan"))] * len(levels)
-    if not found.any():
-        return out
-    at = rough[found]
-    n, h = len(at), 1e-3
-    columns = smooth.spectra(fit.width_px, np.concatenate([at, at + h, at - h]))
-    value = np.abs(columns @ fit.shape) / abs(fit.step)
-    slope = np.minimum((value[n : 2 * n] - value[2 * n :]) / (2 * h), -1e-3)
-    polished = at - np.clip((value[:n] - levels[found]) / slope, -FREQUENCY_STEP, FREQUENCY_STEP)
-    sigma = np.sqrt(gradient_variance(fit, _gradient(fit, columns[:n]))) / -slope
-    for index, f, s in zip(np.flatnonzero(found), polished, sigma, strict=True):
-        out[index] = Crossing(float(f), float(s))
-    return out
+def first_crossings(frequency: Float, curves: Float, levels: Float) -> Float:
+    """First falls of ``curves`` (regions, frequencies) to ``levels`` (regions, levels), by linear interpolation; NaN if none."""
+    below = curves[:, None, :] < levels[:, :, None]
+    i = below.argmax(axis=2)
+    found = below.any(axis=2) & (i > 0)
+    i = np.maximum(i, 1)
+    high, low = (np.take_along_axis(curves, k, axis=1) for k in (i - 1, i))
+    part = (high - levels) / np.where(high > low, high - low, 1.0)
+    return np.asarray(np.where(found, frequency[i - 1] + part * (frequency[i] - frequency[i - 1]), np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """First frequencies at which the curves fall to the levels, and their standard deviations; NaN if none, (regions, n)."""
+
+    value: Float
+    sigma: Float
+
+
+def crossings(fits: EsfFits, frequency: Float, *, curves: Float, levels: Float) -> Crossings:
+    """Crossings of several levels (regions, levels), polished by a Newton step on the exact transform."""
+    rough = first_crossings(frequency, curves, levels)
+    at = np.where(np.isfinite(rough), rough, 0.25)
+    scaled = at * fits.width_px[:, None]
+    b, n = at.shape
+    columns, slopes = transform.transform_and_slope(scaled.ravel())
+    columns, slopes = columns.reshape(b, n, -1), slopes.reshape(b, n, -1)
+    shape = fits.coefficients[:, transform.shape_places()]
+    step = np.abs(fits.step)[:, None]
+    value, change = (columns @ shape[:, :, None])[:, :, 0], (slopes @ shape[:, :, None])[:, :, 0]
+    size = np.maximum(np.abs(value), 1e-12 * step)
+    along = np.conj(value) / size
+    slope = np.minimum(np.real(along * change) * fits.width_px[:, None] / step, -1e-3)
+    polished = at - np.clip((size / step - levels) / slope, -FREQUENCY_STEP, FREQUENCY_STEP)
+    gradient = np.real(along[:, :, None] * columns) / step[:, :, None]
+    gradient[:, :, 0] -= size / step**2 * np.sign(fits.step)[:, None]
+    sigma = np.sqrt([_variance(fits, i, gradient[i]) for i in range(b)]) / -slope
+    seen = np.isfinite(rough)
+    return Crossings(np.where(seen, polished, np.nan), np.where(seen, sigma, np.nan))
+
+
+def _variance(fits: EsfFits, i: int, gradient: Float) -> Float:
+    """Posterior variance of functions of mean shape and modes of region ``i``."""
+    scale, places = float(fits.equations.scale[i]), transform.shape_places()
+    full = np.zeros((fits.coefficients.shape[1], len(gradient)))
+    full[places] = (gradient * (fits.mode_root[i, places] * scale)).T
+    half = smooth.solve_lower(fits.lower[i], full)
+    return np.asarray((half * half).sum(axis=0))
 
 
 def acutance(frequency_cy_px: Float, mtf: Float, *, pixels_per_degree: float) -> float:
@@ -108,7 +139,7 @@ def esf_curves(fit: EsfFit, reach_px: tuple[float, float]) -> tuple[Float, Float
     """Distance grid (1/8 px or a tenth of the width), ESF in DN and LSF in 1/px over ``reach_px``."""
     step = max(0.125, 0.1 * fit.width_px)
     grid = step * np.arange(int(np.ceil(reach_px[0] / step)), int(np.floor(reach_px[1] / step)) + 1)
-    columns = smooth.shape_columns() @ fit.shape
+    columns = transform.shape_columns() @ fit.shape
     z = grid / fit.width_px
     esf = fit.dark + basis.spline_matrix(z) @ columns
     lsf = basis.spline_matrix(z, derivative=1) @ columns / (fit.width_px * fit.step)

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge.estimate import Estimate, first_width
-from isetval.measure.edge.locate import FirstLook, pixel_noise, transitions, two_levels
-from isetval.measure.edge.refine import gain_of
+from isetval.measure.edge.estimate import Estimates
+from isetval.measure.edge.locate import FirstLooks, Transitions, is_sharp, pixel_noise, transitions
 from isetval.measure.edge.samples import Samples
+from isetval.measure.edge.shading import gain_of
+from isetval.measure.edge.stack import Stack
 
 Float = NDArray[np.floating[Any]]
 
@@ -52,29 +53,41 @@ def too_small(samples: Samples, channel: str) -> str | None:
     return f"the region is {height:g} x {width:g} px; channel {channel} needs at least {need} px a side: enlarge it"
 
 
-def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | None:
+@dataclass(frozen=True, eq=False)
+class Prospects:
+    """What speaks against an edge before it is fitted: code and sentence of every region, or None; noise of a sample, DN."""
+
+    reasons: list[tuple[str, str] | None]
+    noise_dn: Float
+
+
+def prospects(stack: Stack, looks: FirstLooks, width_px: Float) -> Prospects:
+    """Whether the rows of every region agree on one edge."""
+    noise, rough = pixel_noise(stack)
+    seen = transitions(stack, dark=looks.dark, bright=looks.bright, noise=np.maximum(noise, rough))
+    return Prospects([_not_an_edge(stack, looks, seen, width_px, i) for i in range(len(stack))], noise)
+
+
+def _not_an_edge(stack: Stack, looks: FirstLooks, seen: Transitions, width_px: Float, i: int) -> tuple[str, str] | None:
     """Code and sentence if the rows do not agree on one edge."""
-    dark, bright = (look.dark, look.bright) if look is not None else two_levels(samples.values)
-    noise = pixel_noise(samples.values)
-    rough = 0.63 * float(np.mean(np.abs(samples.values[::3, 1:] - samples.values[::3, :-1])))
-    seen = transitions(samples.values, dark=dark, bright=bright, noise=max(noise, rough))
-    if seen.clear and (seen.several > 0.2 or seen.against > 0.2):
+    several, against = float(seen.several[i]), float(seen.against[i])
+    if seen.clear[i] and (several > 0.2 or against > 0.2):
         return "two_edges", (
-            f"{100 * seen.several:.0f} % of the rows cross between dark and bright more than once"
-            + (" and others in opposite directions" if seen.against > 0.2 else "")
+            f"{100 * several:.0f} % of the rows cross between dark and bright more than once"
+            + (" and others in opposite directions" if against > 0.2 else "")
             + "; choose a region with a single edge"
         )
-    if look is None:
+    if not looks.found[i]:
         return "no_edge", "no row of the region crosses from dark to bright; place the region on an edge"
-    reach = samples.step_px * samples.values.shape[1]
-    rows = int(look.rows_used.sum())
-    if rows < max(8, 0.2 * len(look.rows_used)) or look.scatter_px > 0.12 * reach:
+    reach = stack.step_px * stack.values.shape[2]
+    rows, used = len(stack.y_px), int(looks.rows_used[i].sum())
+    if used < max(8, 0.2 * rows) or looks.scatter_px[i] > 0.12 * reach:
         return "no_edge", (
-            f"{rows} of {len(look.rows_used)} rows cross and scatter by {look.scatter_px:.1f} px about the best curve; "
+            f"{used} of {rows} rows cross and scatter by {looks.scatter_px[i]:.1f} px about the best curve; "
             "place the region on one edge"
         )
-    if first_width(samples, look.line, look) > 0.12 * reach:
-        if _is_sharp(samples.values, bright - dark):
+    if width_px[i] > 0.12 * reach:
+        if is_sharp(stack.values[i], float(looks.bright[i] - looks.dark[i])):
             return (
                 "two_edges",
                 "the rows change abruptly more than once or at different places; choose a region with a single edge",
@@ -86,66 +99,73 @@ def not_an_edge(samples: Samples, look: FirstLook | None) -> tuple[str, str] | N
     return None
 
 
-def _is_sharp(values: Float, step: float) -> bool:
-    """Whether a quarter of the rows change by a third of the step within three samples."""
-    walk = np.cumsum(values[::2], axis=1)
-    mean = (walk[:, 3:] - walk[:, :-3]) / 3
-    steepest = np.abs(mean[:, 3:] - mean[:, :-3]).max(axis=1)
-    return float(np.quantile(steepest, 0.75)) > step / 3
-
-
-def misfit(samples: Samples, look: FirstLook, estimate: Estimate) -> str | None:
-    """Sentence if one edge does not explain the region at all."""
-    step, seen = estimate.fit.step, look.bright - look.dark
-    noise = max(pixel_noise(samples.values), float(np.sqrt(ROUNDING)))
-    scatter = float(np.sqrt(estimate.binned.scatter.sum() / estimate.binned.number.sum()))
-    if 0.4 * seen < step < 2.5 * seen and scatter < max(4 * noise, MISFIT * step):
+def misfit(found: Estimates, i: int, *, seen_dn: float, noise_dn: float) -> str | None:
+    """Sentence if one edge does not explain region ``i`` at all (``seen_dn``: step at first look)."""
+    step, scatter = float(found.fits.step[i]), float(found.scatter_dn[i])
+    noise = max(noise_dn, float(np.sqrt(ROUNDING)))
+    if 0.4 * seen_dn < step < 2.5 * seen_dn and scatter < max(4 * noise, MISFIT * step):
         return None
     return (
-        f"values at equal distance from the best edge scatter by {scatter:.3g} DN (noise {noise:.2g} DN, step {seen:.4g} DN): "
-        "a corner, a pattern or several edges; choose a region with a single edge"
+        f"values at equal distance from the best edge scatter by {scatter:.3g} DN (noise {noise:.2g} DN, step "
+        f"{seen_dn:.4g} DN): a corner, a pattern or several edges; choose a region with a single edge"
     )
 
 
-def judge(samples: Samples, look: FirstLook, estimate: Estimate, *, channel: str, angle_deg: float, length_px: float) -> Verdict:
-    """All codes for a fitted edge."""
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What was seen before the fit: steps and noise, DN, (regions,)."""
+
+    step_dn: Float
+    noise_dn: Float
+
+
+def judge(found: Estimates, seen: Seen, channels: list[str]) -> list[Verdict]:
+    """All codes for the fitted edges."""
+    plateaus = plateau_residuals(found)
+    return [_judge(found, i, seen, channel, plateaus) for i, channel in enumerate(channels)]
+
+
+def _judge(found: Estimates, i: int, seen: Seen, channel: str, plateaus: Plateaus) -> Verdict:
     flags: dict[str, str] = {}
     warnings: dict[str, str] = {}
-    distance = estimate.distance_px
-    wrong = misfit(samples, look, estimate)
+    wrong = misfit(found, i, seen_dn=float(seen.step_dn[i]), noise_dn=float(seen.noise_dn[i]))
     if wrong:
         return Verdict({"two_edges": wrong}, {})
-    _contrast(flags, estimate)
-    _angle(flags, warnings, samples, distance, angle_deg)
-    _clipping(flags, warnings, samples, estimate, distance)
-    _sides(flags, estimate, distance)
+    slope = float(found.slope[i])
+    _contrast(flags, found, i)
+    _angle(flags, warnings, found, i)
+    _clipping(flags, warnings, found, i)
+    _sides(flags, found, i)
     if "edge_near_border" not in flags and "too_blurred" not in flags:
-        _single(flags, samples, estimate, distance)
-    if length_px < GOOD_LENGTH_PX[channel]:
+        _single(flags, found, i, plateaus)
+    length = 2 * float(found.lines.y_half_px[i]) * float(np.hypot(1, slope))
+    if length < GOOD_LENGTH_PX[channel]:
         warnings["short_edge"] = (
-            f"the edge is {length_px:.0f} px long; channel {channel} is reliable from {GOOD_LENGTH_PX[channel]} px"
+            f"the edge is {length:.0f} px long; channel {channel} is reliable from {GOOD_LENGTH_PX[channel]} px"
         )
-    slope = float(np.hypot(estimate.geometry.gain[0], estimate.geometry.gain[3]))
-    if slope > 0.3:
-        warnings["strong_shading"] = f"illumination changes by {200 * slope:.0f} % over the region"
+    change = float(np.hypot(found.gain[i, 0], found.gain[i, 3]))
+    if change > 0.3:
+        warnings["strong_shading"] = f"illumination changes by {200 * change:.0f} % over the region"
     return Verdict(flags, warnings)
 
 
-def _contrast(flags: dict[str, str], estimate: Estimate) -> None:
-    noise = np.sqrt((estimate.noise.dark + estimate.noise.bright) / 2)
-    if estimate.fit.step < MIN_STEP_SIGMA * noise:
+def _contrast(flags: dict[str, str], found: Estimates, i: int) -> None:
+    step = float(found.fits.step[i])
+    noise = float(np.sqrt((found.noise.dark[i] + found.noise.bright[i]) / 2))
+    if step < MIN_STEP_SIGMA * noise:
         flags["low_contrast"] = (
-            f"the step of {estimate.fit.step:.4g} DN is {estimate.fit.step / noise:.1f} sigma of the noise ({noise:.3g} DN); "
+            f"the step of {step:.4g} DN is {step / noise:.1f} sigma of the noise ({noise:.3g} DN); "
             f"it needs {MIN_STEP_SIGMA:g}: more light, more contrast or the mean of several frames"
         )
 
 
-def _angle(flags: dict[str, str], warnings: dict[str, str], samples: Samples, distance: Float, angle_deg: float) -> None:
-    angle = abs(angle_deg)
-    name = "angle_near_90" if samples.transposed else "angle_near_0"
-    near = np.sort(distance[np.abs(distance) < 2.5 * samples.step_px].ravel())
+def _angle(flags: dict[str, str], warnings: dict[str, str], found: Estimates, i: int) -> None:
+    angle, step_px = float(found.angle_deg[i]), found.stack.step_px
+    name = "angle_near_90" if found.stack.members[i].transposed else "angle_near_0"
+    near = found.near_px[i]
+    near = np.sort(near[np.abs(near) < 2.5 * step_px])
     gap = float(np.max(np.diff(near))) if len(near) > 1 else np.inf
-    limit = 0.62 if samples.step_px == 1 else 1.0
+    limit = 0.62 if step_px == 1 else 1.0
     advice = "turn the target to between 2 and 43 degrees"
     if angle < MIN_ANGLE_DEG or (gap > limit and angle < 10):
         flags[name] = (
@@ -165,14 +185,17 @@ def _angle(flags: dict[str, str], warnings: dict[str, str], samples: Samples, di
         )
 
 
-def _clipping(flags: dict[str, str], warnings: dict[str, str], samples: Samples, estimate: Estimate, distance: Float) -> None:
-    bright = distance > 2 * estimate.fit.width_px
+def _clipping(flags: dict[str, str], warnings: dict[str, str], found: Estimates, i: int) -> None:
+    samples, distance, width = found.stack.members[i], found.distance_px[i], float(found.fits.width_px[i])
+    if not (samples.clipped_high.any() or samples.clipped_low.any()):
+        return
+    bright = distance > 2 * width
     share = float(np.mean(samples.clipped_high[bright])) if bright.any() else 0.0
     if share > MAX_CLIPPED or (share > 0 and _clipped_patch(samples.clipped_high)):
         flags["saturated"] = f"{100 * share:.1f} % of the bright side is at the white level; expose less"
-    dark = distance < -2 * estimate.fit.width_px
+    dark = distance < -2 * width
     low = float(np.mean(samples.clipped_low[dark])) if dark.any() else 0.0
-    if low > MAX_CLIPPED and estimate.noise.dark > (0.01 * estimate.fit.step) ** 2:
+    if low > MAX_CLIPPED and found.noise.dark[i] > (0.01 * found.fits.step[i]) ** 2:
         warnings["clipped_black"] = f"{100 * low:.0f} % of the dark side is at raw zero; its noise is cut and its mean biased up"
 
 
@@ -183,10 +206,11 @@ def _clipped_patch(clipped: NDArray[np.bool_]) -> bool:
     return bool(patches.max() > 40)
 
 
-def _sides(flags: dict[str, str], estimate: Estimate, distance: Float) -> None:
-    width = estimate.fit.width_px
-    reach = min(-float(distance.min()), float(distance.max()))
-    if width > 0.15 * (float(distance.max()) - float(distance.min())):
+def _sides(flags: dict[str, str], found: Estimates, i: int) -> None:
+    width = float(found.fits.width_px[i])
+    low, high = (float(part[i]) for part in found.reach_px)
+    reach = min(-low, high)
+    if width > 0.15 * (high - low):
         flags["too_blurred"] = f"the edge's width (sigma {width:.1f} px) fills the region; enlarge the region"
     elif reach < max(3.0, 3 * width):
         flags["edge_near_border"] = (
@@ -194,31 +218,55 @@ def _sides(flags: dict[str, str], estimate: Estimate, distance: Float) -> None:
         )
 
 
-def _single(flags: dict[str, str], samples: Samples, estimate: Estimate, distance: Float) -> None:
-    """Second transitions: plateaus that are not flat, or blocks that disagree with the fit (every other row is looked at)."""
-    fit = estimate.fit
-    samples, distance = samples.every(2), distance[((len(distance) - 1) % 2) // 2 :: 2]
-    level = samples.values / gain_of(samples, estimate.geometry, distance)
-    far = np.abs(distance) > max(6 * fit.width_px, 4.0)
-    place = distance * (1 / estimate.geometry.half_px)
-    expected = np.where(distance > 0, fit.dark + fit.step, fit.dark)
-    expected *= 1 + place * (fit.coefficients[2] + fit.coefficients[3] * place)
-    rest = np.where(far, level - expected, 0.0)
-    rows, cols = (max(1, n // 8) for n in rest.shape)
-    kr, kc = rest.shape[0] // rows, rest.shape[1] // cols
-    cut = (slice(0, kr * rows), slice(0, kc * cols))
-    shape = (kr, rows, kc, cols)
-    number = far[cut].reshape(shape).sum(axis=(1, 3))
-    total = rest[cut].reshape(shape).sum(axis=(1, 3))
-    use = number >= max(4, rows * cols // 3)
+@dataclass(frozen=True, eq=False)
+class Plateaus:
+    """Mean deviation from the fit in patches of the plateaus, DN, and the samples in each, (regions, patches)."""
+
+    deviation_dn: Float
+    number: Float
+    least: float
+
+
+def plateau_residuals(found: Estimates) -> Plateaus:
+    """Deviations of patches (an eighth of the region each way; every other row is looked at) away from the edges."""
+    fits, b = found.fits, len(found)
+    some = found.stack.every(2)
+    distance = found.distance_px[:, found.stack.start(2) :: 2]
+    rest = gain_of(some, found.lines, found.gain, found.half_px)
+    np.divide(some.values, rest, out=rest)
+    far = np.abs(distance) > np.maximum(6 * fits.width_px, 4.0)[:, None, None]
+    place = distance * (1 / found.half_px)
+    expected = np.where(distance > 0, (fits.dark + fits.step)[:, None, None], fits.dark[:, None, None])
+    first, second = (fits.shading[:, k, None, None] for k in (0, 1))
+    light = second * place
+    light += first
+    light *= place
+    light += 1
+    expected *= light
+    rest -= expected
+    rest *= far
+    rows, cols = (max(1, n // 8) for n in rest.shape[1:])
+    kr, kc = rest.shape[1] // rows, rest.shape[2] // cols
+    cut = (slice(None), slice(0, kr * rows), slice(0, kc * cols))
+    shape = (b, kr, rows, kc * cols)
+    columns = np.repeat(np.eye(kc), cols, axis=0)
+    number = (far[cut].reshape(shape).sum(axis=2) @ columns).reshape(b, -1)
+    total = (rest[cut].reshape(shape).sum(axis=2) @ columns).reshape(b, -1)
+    return Plateaus(total / np.maximum(number, 1), number, max(4, rows * cols // 3))
+
+
+def _single(flags: dict[str, str], found: Estimates, i: int, plateaus: Plateaus) -> None:
+    """Second transitions: plateaus that are not flat, or patches that disagree with the fit."""
+    use = plateaus.number[i] >= plateaus.least
     if not use.any():
         return
-    worst = np.abs(total[use] / number[use])
-    noise = np.sqrt(max(estimate.noise.dark, estimate.noise.bright) / number[use])
-    bad = worst > np.maximum(SECOND_EDGE * fit.step, 6 * noise)
-    if bad.sum() >= 2 or (bad.any() and worst.max() > 3 * SECOND_EDGE * fit.step):
+    step, number = float(found.fits.step[i]), plateaus.number[i][use]
+    worst = np.abs(plateaus.deviation_dn[i][use])
+    noise = np.sqrt(max(found.noise.dark[i], found.noise.bright[i]) / number)
+    bad = worst > np.maximum(SECOND_EDGE * step, 6 * noise)
+    if bad.sum() >= 2 or (bad.any() and worst.max() > 3 * SECOND_EDGE * step):
         flags["two_edges"] = (
             f"{int(bad.sum())} of {int(use.sum())} parts of the plateaus differ by up to "
-            f"{100 * worst.max() / fit.step:.0f} % of the step; "
+            f"{100 * worst.max() / step:.0f} % of the step; "
             "choose a region with a single edge"
         )

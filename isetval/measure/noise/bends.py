@@ -73,5 +73,5 @@ def _mosaic_covariance(captures: Sequence[Capture], roi: Roi | None) -> PlaneSta
     for name in planes_of(captures[0]):
         views = [plane_view(c, name, region)[0] for c in captures]
         _, first, _ = plane_view(captures[0], name, region)
-        planes[name] = (frame_moments(views, plane_black_dn(captures[0], name), keep=True), first)
+        planes[name] = (frame_moments(views, plane_black_dn(captures[0], name), keep=True, dtype=np.float32), first)
     return neighbour_covariance(planes, region)

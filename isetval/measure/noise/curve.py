@@ -211,21 +211,22 @@ def _fit(name: str, columns: list[Float], points: Points, anchor: Anchor | None)
     """Weighted least squares, weights from the model's own variance, iterated."""
     design = np.column_stack([np.ones_like(columns[0]), *columns])
     target = points.variance_dn2
+    rows, values = design, target
+    if anchor is not None:
+        rows, values = np.vstack([design, np.eye(design.shape[1])[0]]), np.append(target, anchor.variance_dn2)
     model = np.maximum(target, 0.05)
     coefficients = np.zeros(design.shape[1])
+    tiny = 1e-13 * np.eye(coefficients.size)
     for _ in range(5):
         slope = max(float(coefficients[1]), 0.0)
-        sigma = np.sqrt(point_variance(points, model, slope))
-        rows, values, errors = design, target, sigma
+        errors = np.sqrt(point_variance(points, model, slope))
         if anchor is not None:
-            error = math.hypot(anchor.sigma_dn2, slope * anchor.black_sigma_dn)
-            rows = np.vstack([design, np.eye(design.shape[1])[0]])
-            values, errors = np.append(target, anchor.variance_dn2), np.append(sigma, max(error, 1e-12))
+            errors = np.append(errors, max(math.hypot(anchor.sigma_dn2, slope * anchor.black_sigma_dn), 1e-12))
         scaled = rows / errors[:, None]
         scale = np.sqrt((scaled**2).sum(axis=0))
-        normal = (scaled / scale).T @ (scaled / scale)
-        inverse = np.linalg.inv(normal + 1e-13 * np.eye(normal.shape[0]))
-        coefficients = inverse @ ((scaled / scale).T @ (values / errors)) / scale
+        scaled /= scale
+        inverse = np.linalg.inv(scaled.T @ scaled + tiny)
+        coefficients = inverse @ (scaled.T @ (values / errors)) / scale
         model = np.maximum(design @ coefficients, 0.02 * target + 1e-6)
     residual = (values - rows @ coefficients) / errors
     covariance = inverse / np.outer(scale, scale)

@@ -16,7 +16,7 @@ from isetval.measure.noise.statistics import check_frames, check_region
 Float = NDArray[np.float64]
 LEVEL_GAP = 0.03
 MERGE_GAP = 0.10
-SAMPLE = 2_500
+SAMPLE = 5_000
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,20 @@ class Groups:
 
 def frame_mean(capture: Capture, roi: Roi | None = None) -> float:
     """Mean over the planes of (DN - black) of one frame, from evenly spread pixels, stray values held to 8 robust sd."""
-    return float(np.mean([_held_mean(plane_view(capture, p, roi)[0]) - plane_black_dn(capture, p) for p in planes_of(capture)]))
+    means, planes = [], planes_of(capture)
+    for plane in planes:
+        view = plane_view(capture, plane, roi)[0]
+        step = max(1, int(math.sqrt(view.size / SAMPLE * len(planes))))
+        means.append(_held_mean(view[::step, ::step].ravel()) - plane_black_dn(capture, plane))
+    return float(np.mean(means))
 
 
-def _held_mean(view: NDArray[np.uint16]) -> float:
-    step = max(1, int(math.sqrt(view.size / SAMPLE)))
-    values = np.sort(view[::step, ::step].ravel()).astype(np.float64)
-    low, center, high = values[[values.size // 4, values.size // 2, 3 * values.size // 4]]
+def _held_mean(values: NDArray[np.uint16]) -> float:
+    quarters = (values.size // 4, values.size // 2, 3 * values.size // 4)
+    low, center, high = np.partition(values, quarters)[list(quarters)].astype(float)
     spread = max((high - low) / 1.349, 0.5)
+    if values.min() >= center - 8 * spread and values.max() <= center + 8 * spread:
+        return float(values.mean())
     return float(np.clip(values, center - 8 * spread, center + 8 * spread).mean())
 
 

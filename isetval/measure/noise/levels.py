@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +12,9 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
 from isetval.measure.noise.curve import Points
 from isetval.measure.noise.decomposition import FixedPattern, decompose, fit_surface, robust_sd
-from isetval.measure.noise.moments import Moments, central, frame_moments, line_sums
+from isetval.measure.noise.linesums import line_sums
+from isetval.measure.noise.moments import Moments, central, frame_moments
+from isetval.measure.noise.passes import Passes
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.quantized import fit_quantized, unrounded_variance
 from isetval.measure.noise.reference import DarkLevel
@@ -75,7 +75,9 @@ class LevelSeries:
         )
 
 
-def measure_levels(flats: Sequence[Sequence[Capture]], plane: str, roi: Roi | None, reference: DarkLevel | None) -> LevelSeries:
+def measure_levels(
+    flats: Sequence[Sequence[Capture]], plane: str, roi: Roi | None, reference: DarkLevel | None, passes: Passes
+) -> LevelSeries:
     """Moments of every level; defective pixels (seen in the dark or in a middle level) are left out.
 
     The fixed pattern is taken from every level of a small region, but from the middle level only of a large
@@ -94,18 +96,13 @@ def measure_levels(flats: Sequence[Sequence[Capture]], plane: str, roi: Roi | No
     known = bad if views[0].shape == whole[0].shape else None
 
     def measure(i: int) -> Level:
-        if i == middle:
-            return _level(flats[i], plane, roi, black.value, moments, known)
-        if not small:
-            return _level(flats[i], plane, roi, black.value, None, known)
-        frames = [plane_view(c, plane, roi)[0] for c in flats[i]]
-        return _level(flats[i], plane, roi, black.value, frame_moments(frames, black.value, bad=bad), bad)
+        own, left_out = (moments, known) if i == middle else (None, known)
+        if small and i != middle:
+            frames = [plane_view(c, plane, roi)[0] for c in flats[i]]
+            own, left_out = frame_moments(frames, black.value, bad=bad), bad
+        return _level(flats[i], plane, roi, black.value, own, passes, left_out)
 
-    if small:
-        levels = [measure(i) for i in range(len(flats))]
-    else:
-        with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
-            levels = list(pool.map(measure, range(len(flats))))
+    levels = [measure(i) for i in range(len(flats))]
     return LevelSeries(tuple(sorted(levels, key=lambda level: level.mean_dn)), black)
 
 
@@ -144,24 +141,29 @@ def _level(
     roi: Roi | None,
     black: float,
     moments: Moments | None,
+    passes: Passes,
     bad: NDArray[np.bool_] | None,
 ) -> Level:
     views = [plane_view(c, plane, roi)[0] for c in captures]
-    sums = line_sums(views, black, bad=bad)
-    rows, frames = sums.row_means.shape[1], sums.frames
+    white = captures[0].sensor.white_dn
+    if bad is None:
+        sums = passes.of(captures)[plane]
+    else:
+        sums = line_sums(views, black_dn={(0, 0): black}, white_dn=white, bad=bad)[0, 0]
+    means = sums.row_means - black
+    rows, frames = means.shape[1], sums.frames
     variance = sums.variance_dn2
     sigma = variance * math.sqrt(2 / (sums.pixels * (frames - 1)))
-    row, frame = line_scatter(sums.row_means, variance, sums.cols, sigma)
+    row, frame = line_scatter(means, variance, sums.cols, sigma)
     spread = max(sums.spread_dn2 - variance / frames, 0.0)
     measured = Quantity(variance, moments.temporal.sigma if moments is not None else sigma, "DN^2")
     exact = _exact_rounding(views, measured, spread, bad)
-    drift = float(np.mean((sums.row_means - sums.row_means.mean(axis=0)) ** 2))
-    white = captures[0].sensor.white_dn
+    drift = float(np.mean((means - means.mean(axis=0)) ** 2))
     return Level(
         time_s=captures[0].exposure.time_s,
         frames=frames,
         pixels=sums.pixels,
-        mean_dn=float(sums.row_means.mean()),
+        mean_dn=float(means.mean()),
         mean_sigma_dn=math.sqrt(variance / sums.pixels / frames + max(row.value, 0.0) / rows / frames),
         spread_dn2=spread,
         variance_dn2=exact.value,
@@ -171,8 +173,8 @@ def _level(
         pooled_variance_dn2=variance * (frames - 1) / frames + sums.spread_dn2 + drift,
         row_temporal=row,
         frame_scatter=frame,
-        clipped_high=float(np.mean([np.mean(v >= white) if v.max() >= white else 0.0 for v in views])),
-        clipped_low=float(np.mean([np.mean(v == 0) if v.min() == 0 else 0.0 for v in views])),
+        clipped_high=sums.clipped_high,
+        clipped_low=sums.clipped_low,
         fixed=_pattern(moments, row) if moments is not None else None,
         captures=tuple(captures),
     )

@@ -25,9 +25,8 @@ from isetval.measure.noise.quantity import Quantity
 Float = NDArray[np.float64]
 Values = NDArray[Any]
 BLOCK_PIXELS = 1 << 17
-LARGE_PIXELS = 320_000
-CENTER = 512
-WILD_SD = 8.0
+LARGE_PIXELS = 200_000
+CENTER = 384
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +145,12 @@ def frame_moments(
             np.subtract(view[part], kind(black_dn), out=block[f], casting="unsafe")
         row_means[:, part] = block.mean(axis=2, dtype=np.float64)
         if bad is not None and bad[part].any():
-            row_means[:, part] = _leave_out(block, bad[part])
+            row_means[:, part] = leave_out(block, bad[part])
         mean = block.mean(axis=0)
         average[part] = mean
         if frames > 1:
             if profile is None:
-                profile = _column_profile(block, mean)
+                profile = column_profile(mean.mean(axis=0), float(np.var(block[0] - block[-1])) / 2)
             block -= mean
             drift = (row_means[:, part] - row_means[:, part].mean(axis=0)).astype(kind)
             block -= drift[:, :, None] * profile
@@ -165,99 +164,6 @@ def frame_moments(
     return Moments(average, variance, row_means, residual)
 
 
-@dataclass(frozen=True, eq=False)
-class LineSums:
-    """Row means and temporal variance of a plane without per-pixel maps: the fast road for large frames.
-
-    ``variance_dn2`` as ``Moments.temporal``; ``spread_dn2`` is the spatial variance of the mean image (of a large
-    frame from one row in each block), residual noise included.
-    """
-
-    row_means: Float
-    variance_dn2: float
-    spread_dn2: float
-    pixels: int
-    cols: int
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return int(self.row_means.shape[0])
-
-
-def line_sums(views: Sequence[Values], black_dn: float = 0.0, *, bad: NDArray[np.bool_] | None = None) -> LineSums:
-    """Row means and temporal variance of two or more frames, float32, in blocks that stay in the cache.
-
-    Besides the pixels of ``bad``, those whose frames differ by more than eight sd of their block are left out.
-    """
-    frames, (rows, cols) = len(views), views[0].shape
-    step = max(1, min(rows, BLOCK_PIXELS // max(cols, 1)))
-    row_means, spread = np.empty((frames, rows)), []
-    square, taken = 0.0, 0
-    sparse = 1 if rows * cols <= BLOCK_PIXELS else step
-    profile: Values | None = None
-    buffer = np.empty((frames, step, cols), np.float32)
-    for top in range(0, rows, step):
-        part = slice(top, min(top + step, rows))
-        block = buffer[:, : part.stop - top]
-        out = None if bad is None or not bad[part].any() else bad[part]
-        row_means[:, part] = _load(block, views, part, out)
-        spread.append(block[:, ::sparse].copy())
-        if profile is None:
-            profile = _column_profile(block, block.mean(axis=0) - np.float32(black_dn))
-        found = _square_sum(block, row_means[:, part], profile)
-        wild = _wild(block, found)
-        if wild is not None:
-            out = wild if out is None else wild | out
-            row_means[:, part] = _load(block, views, part, out)
-            found = _square_sum(block, row_means[:, part], profile)
-        square += found
-        taken += 0 if out is None else int(out.sum())
-    dof = (frames - 1) * (rows * (cols - 1) - taken)
-    sample = np.concatenate(spread, axis=1).mean(axis=0)
-    row_means -= black_dn
-    return LineSums(row_means, square / dof, float(np.var(sample, dtype=np.float64)), rows * cols - taken, cols)
-
-
-def _wild(block: Values, square: float) -> NDArray[np.bool_] | None:
-    """Pixels whose residual in any frame is beyond eight sd of the block; None where there are none."""
-    frames = block.shape[0]
-    rest = block[:1] if frames == 2 else block
-    variance = square / ((frames - 1) * block[0].size) * (2.0 if frames == 2 else 1.0)
-    limit = WILD_SD * float(np.sqrt(max(variance, 1 / 12)))
-    if max(float(rest.max()), -float(rest.min())) <= limit:
-        return None
-    return np.asarray(np.any(np.abs(rest) > limit, axis=0))
-
-
-def _load(block: Values, views: Sequence[Values], part: slice, out: NDArray[np.bool_] | None) -> Float:
-    """Fill ``block`` from the views without the pixels ``out``; row means (frames, rows), black included."""
-    for f, view in enumerate(views):
-        block[f] = view[part]
-    if out is not None:
-        return _leave_out(block, out)
-    return np.asarray((block @ np.ones(block.shape[2], np.float32)) / block.shape[2], dtype=np.float64)
-
-
-def _square_sum(block: Values, row_means: Float, profile: Values) -> float:
-    """Sum of squared residuals of the module's model; ``block`` is overwritten (for two frames ``block[0]`` is x1 - x2)."""
-    frames = block.shape[0]
-    drift = row_means - row_means.mean(axis=0)
-    if frames == 2:
-        # half the difference stands for both residuals: e and -e, e = (x1 - x2) / 2 - D T
-        rest, drift = block[0], drift[:1]
-        rest -= block[1]
-        block, drift, factor = rest[None], 2 * drift, 0.5
-    else:
-        block -= block.mean(axis=0)
-        factor = 1.0
-    flat = block.reshape(-1)
-    total = float(flat @ flat)
-    along = (block @ profile).astype(np.float64)
-    power = float(profile @ profile)
-    return factor * (total - 2 * float((drift * along).sum()) + power * float((drift**2).sum()))
-
-
 def central(view: Values) -> Values:
     """The middle of a plane that is too large for maps of its pixels, else the plane itself."""
     if view.size <= LARGE_PIXELS:
@@ -267,7 +173,7 @@ def central(view: Values) -> Values:
     return view[top : top + CENTER, left : left + CENTER]
 
 
-def _leave_out(block: Values, bad: NDArray[np.bool_]) -> Float:
+def leave_out(block: Values, bad: NDArray[np.bool_]) -> Float:
     """Row means of the good pixels, (frames, rows); bad ones are overwritten with them."""
     good = np.maximum((~bad).sum(axis=1), 1)
     means = np.where(bad, 0.0, block).sum(axis=2, dtype=np.float64) / good
@@ -276,11 +182,12 @@ def _leave_out(block: Values, bad: NDArray[np.bool_]) -> Float:
     return np.asarray(means)
 
 
-def _column_profile(block: Values, mean: Values) -> Values:
-    """T_c: light per column over its mean, shrunk to 1 where there is no light to speak of."""
-    columns = mean.mean(axis=0)
+def column_profile(columns: Values, noise: float) -> Values:
+    """T_c: light per column over its mean, shrunk to 1 where there is no light to speak of.
+
+    ``columns`` (cols,) are means above black in DN, ``noise`` the temporal variance of a pixel in DN^2.
+    """
     level = float(columns.mean())
-    noise = float(np.var(block[0] - block[-1])) / 2
     weight = level**2 / (level**2 + noise) if level > 0 else 0.0
     if weight < 0.5:
         return np.ones_like(columns)

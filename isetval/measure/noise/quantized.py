@@ -88,35 +88,56 @@ def fit_quantized(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None =
     )
 
 
-def _pixel_codes(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None) -> tuple[NDArray[np.int64], int]:
-    """Codes (pixels, frames) counted from the lowest kept code, and that code."""
+def _pixel_codes(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None) -> tuple[NDArray[np.int32], int]:
+    """Codes (frames, pixels) counted from the lowest kept code, and that code."""
     step = -(-views[0].size // MAX_PIXELS)
     rows = slice(None, None, step) if views[0].shape[0] >= 8 * step else slice(None)
-    stack = np.stack([view[rows].astype(np.int64).ravel() for view in views], axis=1)
+    stack = np.stack([view[rows].ravel() for view in views])
     if bad is not None and not bad[rows].all():
-        stack = stack[~bad[rows].ravel()]
-    center = float(np.median(stack))
-    spread = max(1.4826 * float(np.median(np.abs(stack - center))), 0.5)
-    keep = np.all(np.abs(stack - center) <= max(8 * spread, 2), axis=1)
-    kept = stack[keep] if keep.any() else stack
-    first = int(kept.min())
-    return np.minimum(kept - first, MAX_CODES - 1), first
+        stack = stack[:, ~bad[rows].ravel()]
+    center, spread = _middle(np.bincount(stack.ravel()))
+    off = max(8 * max(1.4826 * spread, 0.5), 2)
+    if stack.min() < center - off or stack.max() > center + off:
+        keep = np.all((stack >= center - off) & (stack <= center + off), axis=0)
+        stack = stack[:, keep] if keep.any() else stack
+    first = int(stack.min())
+    return np.minimum(stack.astype(np.int32) - first, MAX_CODES - 1), first
 
 
-def _patterns(codes: NDArray[np.int64]) -> tuple[Float, Float]:
+def _middle(counts: NDArray[np.int64]) -> tuple[float, float]:
+    """Median and median absolute deviation (of whole numbers) from a histogram that begins at 0."""
+    code = np.flatnonzero(counts)
+    middle = float(code[np.searchsorted(np.cumsum(counts[code]), 0.5 * counts.sum())])
+    distance = np.abs(code - middle).astype(np.int64)
+    return middle, float(np.searchsorted(np.cumsum(np.bincount(distance, counts[code])), 0.5 * counts.sum()))
+
+
+def _patterns(codes: NDArray[np.int32]) -> tuple[Float, Float]:
     """Distinct code counts (patterns, codes) and how many pixels show each."""
+    frames, pixels = codes.shape
     width = int(codes.max()) + 1
-    places = codes + width * np.arange(codes.shape[0])[:, None]
-    counts = np.bincount(places.ravel(), minlength=width * codes.shape[0]).astype(np.uint8).reshape(-1, width)
+    if width**frames <= pixels:
+        # few frames: one number for each sorted row of codes
+        ordered = np.sort(codes, axis=0)
+        key = sum(line * width**f for f, line in enumerate(ordered))
+        numbers = np.bincount(key)
+        shown = np.flatnonzero(numbers)
+        rows = shown[:, None] // width ** np.arange(frames) % width
+        counts = (rows[:, :, None] == np.arange(width)).sum(axis=1)
+        return counts.astype(np.float64), numbers[shown].astype(np.float64)
+    places = codes + width * np.arange(pixels)
+    counts = np.bincount(places.ravel(), minlength=width * pixels).astype(np.uint8).reshape(-1, width)
     packed = np.ascontiguousarray(counts).view(np.dtype((np.void, width))).ravel()
     _, index, numbers = np.unique(packed, return_index=True, return_counts=True)
     return counts[index].astype(np.float64), numbers.astype(np.float64)
 
 
-def _start(codes: NDArray[np.int64], first: int) -> Float:
-    mean = codes.mean(axis=1)
-    within = float(np.mean(codes.var(axis=1, ddof=1)))
-    between = float(np.var(mean)) - within / codes.shape[1]
+def _start(codes: NDArray[np.int32], first: int) -> Float:
+    frames = codes.shape[0]
+    total, squares = codes.sum(axis=0), np.einsum("fp,fp->p", codes, codes)
+    mean = total / frames
+    within = float(np.mean(squares - total * mean)) / (frames - 1)
+    between = float(np.var(mean)) - within / frames
     return np.array([first + mean.mean(), 0.5 * math.log(max(within - 1 / 12, 0.04)), 0.5 * math.log(max(between, 0.02))])
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
 from isetval.measure.noise.decomposition import FixedPattern, decompose, robust_sd
-from isetval.measure.noise.moments import Moments, central, frame_moments, line_sums
+from isetval.measure.noise.linesums import LineSums
+from isetval.measure.noise.moments import Moments, central, frame_moments
 from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.quantized import QuantizedNoise, fit_quantized, quantization_variance
 from isetval.measure.noise.statistics import noisy_limit, row_and_frame_scatter
@@ -68,13 +69,13 @@ class DarkLevel:
         return root(Quantity(self.read_variance.value, doubt, "DN^2"), "DN")
 
 
-def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, maps: bool = True) -> DarkLevel:
+def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, sums: LineSums | None = None) -> DarkLevel:
     """Black level and noise of one plane from two or more dark frames (one frame: noise is nan).
 
-    Without ``maps`` the fixed pattern and the defects of a large plane are those of its center.
+    With ``sums`` of the whole plane the fixed pattern and the defects of a large one are those of its center.
     """
     whole = [plane_view(c, plane, roi)[0] for c in captures]
-    views = whole if maps else [central(view) for view in whole]
+    views = whole if sums is None else [central(view) for view in whole]
     tag = plane_black_dn(captures[0], plane)
     moments, defects, fixed, (hot, noisy) = _clean_moments(views, tag)
     row, frame = row_and_frame_scatter(moments)
@@ -89,9 +90,8 @@ def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, 
         exact = fit_quantized(views, defects)
     read, total, dsnu = _variances(moments, plain, exact, row, frame, fixed)
     mean, mean_sigma = _mean_without(moments, defects, plain)
-    if views[0].shape != whole[0].shape and len(views) > 1:
-        sums = line_sums(whole, tag)
-        mean, mean_sigma = float(sums.row_means.mean()), math.sqrt(sums.variance_dn2 / sums.pixels / sums.frames)
+    if sums is not None and views[0].shape != whole[0].shape:
+        mean, mean_sigma = float(sums.row_means.mean()) - tag, math.sqrt(sums.variance_dn2 / sums.pixels / sums.frames)
     black = Quantity(tag + mean, mean_sigma, "DN", math.sqrt(max(dsnu.value, 0.0) / moments.average.size))
     if exact is not None and clipped > CLIPPED_SHARE:
         flags.append("black_clipped_at_zero")

@@ -292,7 +292,7 @@ def neighbour_covariance(planes: Mapping[str, tuple[Moments, tuple[int, int]]], 
     first = next(iter(planes.values()))[0]
     assert first.residual is not None
     frames = first.frames
-    mosaic = np.zeros((frames, region[1] - region[0], region[3] - region[2]))
+    mosaic = np.zeros((frames, region[1] - region[0], region[3] - region[2]), first.residual.dtype)
     step = 1 if "MONO" in planes else 2
     owner: dict[tuple[int, int], str] = {}
     for plane, (moments, (row, col)) in planes.items():
@@ -313,7 +313,7 @@ def neighbour_covariance(planes: Mapping[str, tuple[Moments, tuple[int, int]]], 
 
 
 def _pair_products(
-    mosaic: Float, lag: tuple[int, int], owner: Mapping[tuple[int, int], str], step: int
+    mosaic: NDArray[Any], lag: tuple[int, int], owner: Mapping[tuple[int, int], str], step: int
 ) -> dict[Any, tuple[float, int]]:
     """Sum of products of neighbours and number of pairs, for each unordered pair of planes."""
     _, rows, cols = mosaic.shape
@@ -326,5 +326,5 @@ def _pair_products(
         pair = tuple(sorted((plane, other), key=("R", "Gr", "Gb", "B", "MONO").index))
         part = product[row::step, col::step]
         total, count = out.get(pair, (0.0, 0))
-        out[pair] = (total + float(part.sum()), count + part.size)
+        out[pair] = (total + float(part.sum(dtype=np.float64)), count + part.size)
     return out

@@ -15,6 +15,7 @@ from isetval.measure.noise.curve import Anchor, CurveFit, Points, Response, fit_
 from isetval.measure.noise.grouping import Groups, group
 from isetval.measure.noise.levels import Level, LevelSeries, cut_series, measure_levels
 from isetval.measure.noise.lyu2022 import single_level_gain
+from isetval.measure.noise.passes import Passes
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.reference import DarkLevel, dark_level
 from isetval.measure.noise.statistics import PlaneStatistics
@@ -26,7 +27,7 @@ NAN = float("nan")
 NOTHING = Quantity(NAN, NAN)
 METHODS = ("default", "lyu2022")
 JUMP = 0.08
-Extra = tuple[Mapping[str, Any], dict[int, PlaneStatistics]]
+Extra = tuple[Mapping[str, Any], dict[int, PlaneStatistics], Passes]
 CORRELATED = 0.05
 
 
@@ -163,17 +164,29 @@ def photon_transfer(
         raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
     groups = group(captures, roi, dark)
     known: dict[int, PlaneStatistics] = {}
+    passes = _passes(groups, roi)
     planes = {
-        plane: _plane_transfer(groups, plane, roi, method, (dict((choices or {}).get(plane, {})), known))
+        plane: _plane_transfer(groups, plane, roi, method, (dict((choices or {}).get(plane, {})), known, passes))
         for plane in planes_of(groups.flats[0][0])
     }
     return PhotonTransfer(planes, method, groups.notes)
 
 
+def _passes(groups: Groups, roi: Roi | None) -> Passes:
+    """One pass over all frames, the darks first: they say where black is."""
+    passes = Passes(roi)
+    if len(groups.dark) > 1:
+        means = {plane: float(sums.row_means.mean()) for plane, sums in passes.of(groups.dark).items()}
+        passes = Passes(roi, means, passes.found)
+    passes.prepare(groups.flats)
+    return passes
+
+
 def _plane_transfer(groups: Groups, plane: str, roi: Roi | None, method: str, extra: Extra) -> PlaneTransfer:
-    choices = extra[0]
-    reference = dark_level(groups.dark, plane, roi, maps=False) if groups.dark else None
-    series = measure_levels(groups.flats, plane, roi, reference)
+    choices, _, passes = extra
+    dark_sums = passes.of(groups.dark)[plane] if len(groups.dark) > 1 else None
+    reference = dark_level(groups.dark, plane, roi, sums=dark_sums) if groups.dark else None
+    series = measure_levels(groups.flats, plane, roi, reference, passes)
     series, flags = cut_series(series, choices.get("cut_dn"))
     flags = (*groups.notes, *(reference.flags if reference else ()), *flags)
     if not any(level.used for level in series.levels):
@@ -205,7 +218,7 @@ def _default(
     from isetval.measure.noise.bends import covariance_per_e, nonlinearity_at
     from isetval.measure.noise.response import prnu_percent
 
-    choices, known = extra
+    choices, known, _ = extra
     anchor = _anchor(reference, series)
     points, used = series.points(), [level for level in series.levels if level.used]
     if anchor is None and len(used) < 2:

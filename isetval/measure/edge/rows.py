@@ -1,0 +1,143 @@
+"""Shift of the edge in every row against a known ESF, and the polynomial through the shifted rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.measure.edge.shading import SideNoise, frame_of, gain_terms
+from isetval.measure.edge.shape import Shapes
+from isetval.measure.edge.stack import MAX_ORDER, ORDERS, EdgeLines, Index, RowPolynomials, Stack, clip, distance_terms
+
+Float = NDArray[np.floating[Any]]
+
+ROW_FLOOR_PX = 2e-3
+CORE_WIDTHS = 4.0
+MAX_CORE = 60
+UNIT = np.eye(ORDERS)
+
+
+@dataclass(frozen=True, eq=False)
+class Core:
+    """Samples near the edges, (regions, rows, k): values, coordinates along the row, and which of them exist; middle row ones."""
+
+    values: Float
+    x_px: Float
+    inside: NDArray[np.bool_]
+    middle: NDArray[np.bool_]
+
+    def pick(self, index: Index) -> Core:
+        """Those of some regions."""
+        return Core(self.values[index], self.x_px[index], self.inside[index], self.middle[index])
+
+
+def core_of(stack: Stack, lines: EdgeLines, p: RowPolynomials, width_px: Float) -> Core:
+    """Samples within about 4 widths of the lines."""
+    x, slope, _ = lines.at_rows(p)
+    step, n = stack.step_px, stack.values.shape[2]
+    steepest = np.sqrt(1 + (slope * slope).max(axis=1))
+    half = clip(CORE_WIDTHS * width_px * steepest / step + 2, 3, MAX_CORE).astype(np.intp)
+    reach = int(half.max())
+    offset = np.arange(-reach, reach + 1)
+    column = np.rint((x - stack.x0_px) * (1 / step)).astype(np.intp)[:, :, None] + offset
+    inside = (column >= 0) & (column < n)
+    middle = inside[:, :, reach].copy()
+    inside &= (np.abs(offset) <= half[:, None])[:, None, :]
+    column = clip(column, 0, n - 1)
+    b, rows = x.shape
+    flat = column + (np.arange(b * rows).reshape(b, rows) * n)[:, :, None]
+    return Core(stack.values.ravel()[flat], stack.x0_px[:, None] + step * column, inside, middle)
+
+
+@dataclass(frozen=True, eq=False)
+class CoreView:
+    """Values of a core with the illumination removed, their distances (regions, rows, k), cosines of the rows (regions, rows)."""
+
+    values: Float
+    distance: Float
+    cosine: Float
+
+
+def core_view(stack: Stack, core: Core, lines: EdgeLines, p: RowPolynomials, *, gain: Float, half_px: float) -> CoreView:
+    """A core seen from the present lines and illumination."""
+    x, cosine, curve = distance_terms(lines, p)
+    across = core.x_px - x[:, :, None]
+    distance = across * cosine[:, :, None] if curve is None else across * (cosine[:, :, None] + curve[:, :, None] * across)
+    c0, c1, c2 = (c[:, :, None] for c in gain_terms(frame_of(stack, lines), gain, half_px))
+    u = core.x_px - lines.middle[0][:, None, None]
+    light = u * c2
+    light += c1
+    light *= u
+    light += c0
+    return CoreView(core.values / light, distance, cosine)
+
+
+@dataclass(frozen=True, eq=False)
+class RowShifts:
+    """Shift of the edge along x in every row against the present line, and its weight 1/variance, (regions, rows)."""
+
+    shift_px: Float
+    weight: Float
+
+    @property
+    def information(self) -> Float:
+        """Weight of all rows, 1/px^2, (regions,)."""
+        return np.asarray(self.weight.sum(axis=1))
+
+
+def row_shifts(core: Core, view: CoreView, shapes: Shapes, noise: SideNoise) -> RowShifts:
+    """Maximum-likelihood shift of every row, given the ESF."""
+    level, slope = shapes.at(view.distance * (1 / shapes.width_px)[:, None, None], slope=True)
+    gradient = slope * (shapes.step / shapes.width_px)[:, None, None]
+    weight = gradient / noise.at(level)
+    weight *= core.inside
+    level *= shapes.step[:, None, None]
+    level += shapes.dark[:, None, None]
+    information = np.einsum("brk,brk->br", weight, gradient) * view.cosine**2
+    rest = np.einsum("brk,brk->br", weight, view.values - level) * view.cosine
+    limit = 3 * shapes.width_px[:, None]
+    shift = clip(-rest / np.maximum(information, 1e-300), -limit, limit)
+    return RowShifts(shift, np.where(core.middle, information, 0.0))
+
+
+def update_lines(
+    lines: EdgeLines, p: RowPolynomials, shifts: RowShifts, *, order: NDArray[np.intp] | None
+) -> tuple[EdgeLines, Float]:
+    """Gauss-Newton step of the polynomials; orders by the Bayesian information criterion when None.
+
+    Returns the lines and the reduced chi-squared of the rows about them.
+    """
+    weight = np.where(shifts.weight > 1e-6 * shifts.weight.max(axis=1, keepdims=True), shifts.weight, 0.0)
+    n = (weight > 0).sum(axis=1)
+    most = np.minimum(MAX_ORDER, (n - 3) // 3)
+    asked = most if order is None else order
+    usable = (asked >= 1) & (n >= 3 * asked + 3)
+    pw = p.value * weight[:, None, :]
+    gram, moment = pw @ p.value.swapaxes(1, 2), pw @ shifts.shift_px[:, :, None]
+    ridge = 1e-12 * np.maximum(gram[:, 0, 0], 1e-300)
+    lower = np.linalg.cholesky(gram + ridge[:, None, None] * UNIT)
+    inverse = np.linalg.inv(lower)
+    # the residuals of all orders at once: with L L' = gram, each order k takes (L^-1 moment)_k^2 off
+    gained = inverse @ moment
+    chi2 = (weight * shifts.shift_px**2).sum(axis=1) - (gained**2).sum(axis=(1, 2))
+    half = (gained + lower.swapaxes(1, 2) @ lines.coefficients[:, :, None])[:, :, 0]
+    tail = np.cumsum((half**2)[:, :0:-1], axis=1)[:, ::-1]
+    chi2 = np.maximum(chi2, 0.0)[:, None] + np.concatenate([tail, np.zeros((len(n), 1))], axis=1)
+    best = _best_order(chi2, n, most, ROW_FLOOR_PX**2 * weight.sum(axis=1)) if order is None else asked
+    kept = np.where(np.arange(ORDERS) <= best[:, None], half, 0.0)
+    c = (inverse.swapaxes(1, 2) @ kept[:, :, None])[:, :, 0]
+    coefficients = np.where(usable[:, None], c, lines.coefficients)
+    reduced = chi2[np.arange(len(n)), best] / np.maximum(n - best - 1, 1)
+    return lines.moved(coefficients, np.where(usable, best, lines.order)), np.where(usable, reduced, np.nan)
+
+
+def _best_order(chi2: Float, n: Index, most: Index, floor: Float) -> Index:
+    """Orders of the least Bayesian information; one above 1 must win by 2.  ``chi2`` (regions, 6) is that of orders 0, 1, ..."""
+    count = n[:, None]
+    score = count * np.log((chi2 + floor[:, None]) / count) + 1.5 * np.log(count) * np.arange(1, ORDERS + 1)
+    score[:, 2:] += 2.0
+    score[np.arange(ORDERS) > most[:, None]] = np.inf
+    return np.asarray(score[:, 1:].argmin(axis=1) + 1)
