@@ -35,8 +35,9 @@ DERIVATIVE_SEEDS = (101,)
 # signatures have seeds of their own: what rounding does to a fit must not look like a signature
 SIGNATURE_SEEDS = (201,)
 RANDOM_SEEDS = (201, 202)
-# a specimen's pattern (hot pixels, columns) is one draw: its expectation needs several
-SPECIMEN_SEEDS = (101, 102, 103, 104)
+# a specimen's pattern (hot pixels, columns) is one draw: its expectation needs many; darks are cheap
+SPECIMEN_SEEDS = tuple(range(101, 117))
+SEEDS_OF_ROLE = {"dark": 16, "flat": 4}  # at most; 1 for all others
 NOISE_ROLES = ("dark", "flat")  # where noise itself is measured: means elsewhere do not feel it
 BASE_SEED = 7_000
 
@@ -127,11 +128,11 @@ class Predictor:
     ) -> list[Float]:
         """Metrics (metrics,) at each point, mean over ``seeds`` of common random numbers.
 
-        Seeds after the first hold for shots of `NOISE_ROLES` only.  With ``roles``, shots of other roles
-        are not simulated; their rows are nan.
+        Of ``seeds`` each role uses as many as `SEEDS_OF_ROLE` allows.  With ``roles``, shots of other
+        roles are not simulated; their rows are nan.
         """
         shots = [shot for shot in self.shots if roles is None or shot.role in roles]
-        draws = [(shot, seed) for shot in shots for seed in (seeds if shot.role in NOISE_ROLES else seeds[:1])]
+        draws = [(shot, seed) for shot in shots for seed in seeds[: SEEDS_OF_ROLE.get(shot.role, 1)]]
         cameras = [camera_with(point.model, self.plan, point.values) for point in points]
         tasks = [
             self._part(camera, shot, point.values, seed, True)

@@ -52,7 +52,8 @@ def refit(
     reach = np.maximum(np.abs(signature.steps) * 1.5, candidate.tau)
     value = np.clip(candidate.nominal + np.clip(estimate, -reach, reach), low, high)
     start = Point(start_model.with_values(dict(zip(candidate.keys, map(float, value), strict=True))), fitted.point.values)
-    effect_steps = np.maximum(0.2 * np.abs(value - candidate.nominal), 0.02 * candidate.tau)
+    share = 0.5 if candidate.effect.random == "sensor" else 0.2  # a few hot pixels more or less: only far steps count enough
+    effect_steps = np.maximum(share * np.abs(value - candidate.nominal), 0.02 * candidate.tau)
     free = (
         *without_prior(fitted.free, candidate),
         *(replace(f, step=float(h)) for f, h in zip(free_effect, effect_steps, strict=True)),
