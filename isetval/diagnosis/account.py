@@ -82,7 +82,9 @@ def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
             p.name: NamedParameter(*values[key], p.unit, float(nominal))
             for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
         }
-        effects.append(NamedEffect(candidate.name, parameters, chance, others, effect, candidate.present, best.dchi2))
+        effects.append(
+            NamedEffect(candidate.name, parameters, chance[0], chance[1:], others, effect, candidate.present, best.dchi2)
+        )
     if effects:
         model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
     return model, effects

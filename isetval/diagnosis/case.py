@@ -35,7 +35,7 @@ class Case:
     signatures: dict[str, Signature]
     frame0: Frame
     named: list[Refit] = field(default_factory=list)
-    named_posteriors: list[float] = field(default_factory=list)
+    named_posteriors: list[tuple[float, float, float]] = field(default_factory=list)
     classes: list[tuple[str, ...]] = field(default_factory=list)
     rivals: list[tuple[str, ...]] = field(default_factory=list)
     rows: list[CandidateRow] = field(default_factory=list)

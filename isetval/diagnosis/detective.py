@@ -14,7 +14,7 @@ from isetval.core.campaign import Campaign
 from isetval.diagnosis.account import account_of
 from isetval.diagnosis.candidates import Candidate, candidates_for, signatures
 from isetval.diagnosis.case import Case, confirmed, holds, rebase, second_session
-from isetval.diagnosis.evidence import CLOSE_LOG_ODDS, PROBABILITY_CAP, Refit, log_hessian, posteriors, refit, smallest_detectable
+from isetval.diagnosis.evidence import CLOSE_LOG_ODDS, Refit, class_posterior, log_hessian, posteriors, refit, smallest_detectable
 from isetval.diagnosis.profile import Score, cosine, make_frame, score
 from isetval.diagnosis.result import CandidateRow, Diagnosis
 from isetval.diagnosis.templates import Finding, findings
@@ -207,9 +207,8 @@ def _name(case: Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
     case.classes.append(tuple(dict.fromkeys([*rivals, *close])))
     case.rivals.append(rivals)
     case.named.append(best)
-    case.named_posteriors.append(
-        float(min(sum(chances[[0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]]), PROBABILITY_CAP))
-    )
+    members = [0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]
+    case.named_posteriors.append(class_posterior(refits, members, tests))
     if turn == 0:
         by_name = {r.candidate.name: (r.log_evidence, float(p)) for r, p in zip(refits, chances, strict=True)}
         case.rows = [

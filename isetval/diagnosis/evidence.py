@@ -16,6 +16,7 @@ from isetval.prediction import Point
 Float = NDArray[np.float64]
 PROBABILITY_CAP = 0.98
 CLOSE_LOG_ODDS = 3.0
+WIDTH_SCAN = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +99,19 @@ def posteriors(log_evidence: Sequence[float], candidates: int) -> Float:
     logs = np.array([0.0, *(np.asarray(log_evidence) - np.log(max(candidates, 1)))])
     weight = np.exp(logs - logs.max())
     return np.asarray(np.minimum(weight / weight.sum(), PROBABILITY_CAP)[1:])
+
+
+def class_posterior(refits: Sequence[Refit], members: Sequence[int], tests: int) -> tuple[float, float, float]:
+    """Posterior of a class (places in ``refits``), and its range when all prior widths are three times narrower or wider.
+
+    Evidence falls with the logarithm of the prior's width for each parameter (Lindley 1957), so a
+    probability that hangs on the width must show it.
+    """
+    out = []
+    for factor in (1.0, 1 / WIDTH_SCAN, WIDTH_SCAN):
+        logs = [r.log_evidence - len(r.candidate.parameters) * np.log(factor) for r in refits]
+        out.append(min(float(sum(posteriors(logs, tests)[i] for i in members)), PROBABILITY_CAP))
+    return out[0], min(out), max(out)
 
 
 def smallest_detectable(score: Score, alpha_sigma: float = 3.67, power_sigma: float = 1.64) -> float | None:
