@@ -23,8 +23,8 @@ def test_posterior_is_never_stated_above_the_cap():
 
 
 def test_three_times_wider_priors_cost_ln_3_for_each_parameter():
-    refits = [candidate(6.0, 2), candidate(4.0, 1)]
-    weights = {k: np.array([1.0, np.exp(6) / k**2, np.exp(4) / k]) / np.array([1, 50, 50]) for k in (1 / 3, 1.0, 3.0)}
+    refits = [candidate(2.0, 2), candidate(1.0, 1)]
+    weights = {k: np.array([1.0, np.exp(2) / k**2, np.exp(1) / k]) / np.array([1, 50, 50]) for k in (1 / 3, 1.0, 3.0)}
     both = {k: (w[1] + w[2]) / w.sum() for k, w in weights.items()}
     value, low, high = class_posterior(refits, [0, 1], 50)
     assert value == pytest.approx(both[1.0], rel=1e-12)
