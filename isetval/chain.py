@@ -26,6 +26,8 @@ from isetval.core.sensor import Sensor
 from isetval.core.signal import Signal
 from isetval.core.streams import TILE_ROWS
 from isetval.model import CameraModel, occurrences
+from isetval.scenes.passes import DRAWS
+from isetval.scenes.passes import Progress as RenderProgress
 from isetval.scenes.planar import build_scene, mean_radiance, planar_radiance
 
 Float = NDArray[np.float64]
@@ -49,6 +51,14 @@ class ShotSetup:
         known = (shot.role, shot.exposure, shot.light_level, shot.rotation_deg, shot.window, shot.target, shot.focus_um)
         parts = (known, shot.distance_m, self.light, sorted(self.nuisance.items()))
         return hashlib.sha256(pickle.dumps(parts)).hexdigest()
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """How a rendered scene is asked for: who hears of its passes, and which draw of its error is added (None: no error)."""
+
+    progress: RenderProgress | None = None
+    draw: int | None = None
 
 
 class _Cache:
@@ -99,19 +109,22 @@ def front_effects(model: CameraModel) -> tuple[Effect, ...]:
     return tuple(e for e in model.effects if e.stage in FRONT)
 
 
-def mean_electrons(model: CameraModel, setup: ShotSetup) -> Float:
-    """Mean photo-electrons per frame, (rows, cols), float64; cached by content, read-only."""
+def mean_electrons(model: CameraModel, setup: ShotSetup, *, progress: RenderProgress | None = None) -> Float:
+    """Mean photo-electrons per frame, (rows, cols), float64; cached by content, read-only.
+
+    ``progress(done, total, words)`` is called after every pass of a renderer.
+    """
     effects = front_effects(model)
     key = (model.sensor, model.wavelength_nm.tobytes(), tuple(e.content() for e in effects), setup.digest())
     found = _MEANS.get(key)
     if found is None:
-        found = _front(model, effects, setup)
+        found = _front(model, effects, setup, Rendering(progress))
         found.flags.writeable = False
         _MEANS.put(key, found)
     return found
 
 
-def _front(model: CameraModel, effects: tuple[Effect, ...], setup: ShotSetup) -> Float:
+def _front(model: CameraModel, effects: tuple[Effect, ...], setup: ShotSetup, how: Rendering) -> Float:
     whole = make_context(model, setup)
     mean = _field_means(model, effects, setup) if any(e.uses_mean_irradiance for e in effects) else {}
     row0, col0, rows, cols = whole.window
@@ -123,16 +136,21 @@ def _front(model: CameraModel, effects: tuple[Effect, ...], setup: ShotSetup) ->
     for top in range(0, rows, step):
         part = (row0 + top, col0, min(step, rows - top), cols)
         context = replace(whole, window=part, shot_window=whole.window)
-        signal = _run_front(model, effects, setup, context, mean)
+        signal = _run_front(model, effects, setup, context, mean, how)
         out[top : top + part[2]] = signal.values.reshape(signal.values.shape[-2:])
     return out
 
 
 def _run_front(
-    model: CameraModel, effects: tuple[Effect, ...], setup: ShotSetup, context: Context, mean: Mapping[int, Float]
+    model: CameraModel,
+    effects: tuple[Effect, ...],
+    setup: ShotSetup,
+    context: Context,
+    mean: Mapping[int, Float],
+    how: Rendering,
 ) -> Signal:
     scene = _scene(model, effects, setup, context)
-    signal = _radiance(scene, context, setup.shot)
+    signal = _radiance(scene, context, how)
     for i, (effect, nth) in enumerate(zip(effects, occurrences(effects), strict=True)):
         if effect.stage != "scene":
             own = context.for_effect(effect.name, nth)
@@ -148,12 +166,21 @@ def _scene(model: CameraModel, effects: tuple[Effect, ...], setup: ShotSetup, co
     return scene
 
 
-def _radiance(scene: Scene, context: Context, shot: Shot) -> Signal:
+def _radiance(scene: Scene, context: Context, how: Rendering) -> Signal:
     if isinstance(scene.target, RenderedTarget):
         from isetval.scenes.rendered import rendered_radiance
 
-        return rendered_radiance(scene, context)
+        return rendered_radiance(scene, context, progress=how.progress, draw=how.draw)
     return planar_radiance(scene, context)
+
+
+def render_draws(model: CameraModel, setup: ShotSetup) -> Float:
+    """Mean electrons (draws, rows, cols) of a rendered shot with another error of the render in each.
+
+    The errors have the covariance of the render's own, over pixels and bands; see `isetval.scenes.passes.Running.draws`.
+    """
+    effects = front_effects(model)
+    return np.stack([_front(model, effects, setup, Rendering(draw=i)) for i in range(DRAWS)])
 
 
 def _field_means(model: CameraModel, effects: tuple[Effect, ...], setup: ShotSetup) -> dict[int, Float]:

@@ -163,8 +163,9 @@ def _checked(result: FileMeasurement) -> FileMeasurement:
 
 
 def measure_one(capture: Capture, *, role: str | None = None) -> tuple[list[Metric], list[str]]:
-    """Metrics of a single capture and remarks: its chart, else its edges, and the pixel statistics of every plane."""
-    rows, notes = plane_rows(capture), []
+    """Metrics of a single capture and remarks: its quality, its chart, else its edges, and the statistics of every plane."""
+    notes = [quality_note(capture)]
+    rows = plane_rows(capture)
     looks = {"chart": (chart_rows,), "edge": (edge_rows,), "scene": (patch_rows,), None: (chart_rows, edge_rows)}[role]
     for look in looks:
         try:
@@ -176,6 +177,17 @@ def measure_one(capture: Capture, *, role: str | None = None) -> tuple[list[Metr
         if found:
             return rows + found, notes
     return rows, notes
+
+
+def quality_note(capture: Capture) -> str:
+    """Verdict on the capture with its reasons, before any number."""
+    from isetval.measure import quality
+
+    try:
+        found = quality(capture)
+    except InputError as error:
+        return f"capture quality not judged: {error}"
+    return f"capture quality: {found.verdict}" + (f" ({', '.join(found.reasons)})" if found.reasons else "")
 
 
 def plane_rows(capture: Capture) -> list[Metric]:

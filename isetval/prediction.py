@@ -20,10 +20,13 @@ from numpy.typing import NDArray
 
 from isetval.chain import FRONT, ShotSetup, mean_electrons
 from isetval.core.campaign import Campaign, Shot
+from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, MetricTable
+from isetval.core.scene import RenderedTarget
 from isetval.measure.campaign import measure_shot
 from isetval.model import CameraModel
+from isetval.rendererror import render_covariance
 from isetval.shooting import camera_with, expose, shot_setup
 from isetval.store import Store, content_hash
 
@@ -169,7 +172,18 @@ class Predictor:
         covariance = np.mean([_ordered(t.covariance(), self._order(t)) for t in tables], axis=0)
         scale = self._scatter(values, covariance)
         factor = np.array([scale[m.family] for m in self.table.metrics])
-        return Base(values.mean(axis=0), covariance * np.outer(factor, factor), values, scale)
+        covariance = covariance * np.outer(factor, factor) + self._of_renders(tasks[: len(self.shots)])
+        return Base(values.mean(axis=0), covariance, values, scale)
+
+    def _of_renders(self, tasks: list[ShotPart]) -> Float:
+        """Covariance from the noise of renders, which all replicas share and so do not show."""
+        out = np.zeros((len(self.keys), len(self.keys)))
+        rendered = [task for task in tasks if isinstance(task.setup.shot.target, RenderedTarget)]
+        for task, part in zip(rendered, self._run(_render_part, rendered, self._rows_of), strict=True):
+            rows = self.rows[task.setup.shot.name]
+            if part is not None:
+                out[np.ix_(rows, rows)] = part
+        return out
 
     def _order(self, table: MetricTable) -> NDArray[np.intp]:
         place = {m.key(): i for i, m in enumerate(table.metrics)}
@@ -268,6 +282,20 @@ def _vector_of(task: ShotPart, keys: Sequence[Any]) -> Float:
         values = {m.key(): m.value for block in _blocks_of(task) for m in block.metrics}
         _SEEN[key] = np.array([values.get(k, np.nan) for k in keys])
     return _SEEN[key]
+
+
+def _render_part(task: ShotPart, keys: Sequence[Any]) -> Float | None:
+    one = replace(task.setup, shot=replace(task.setup.shot, frames=1))
+
+    def measure(captures: Sequence[Capture]) -> Float:
+        try:
+            blocks = [block for _, block in measure_shot(one.shot, captures, choices=task.choices)]
+        except InputError:
+            blocks = []
+        values = {m.key(): m.value for block in blocks for m in block.metrics}
+        return np.array([values.get(k, np.nan) for k in keys])
+
+    return render_covariance(task.model, one, measure)
 
 
 def _blocks_of(task: ShotPart) -> list[Block]:

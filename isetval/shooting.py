@@ -18,6 +18,7 @@ from isetval.core.errors import InputError
 from isetval.core.sensor import Exposure
 from isetval.core.streams import stream, word
 from isetval.model import CameraModel
+from isetval.scenes.passes import Progress as RenderProgress
 
 Float = NDArray[np.float64]
 BIG_PX = 1_000_000
@@ -82,8 +83,12 @@ def shoot(
     values: Mapping[str, float] | None = None,
     draw: bool = False,
     sensor_seed: int | None = None,
+    rendering: RenderProgress | None = None,
 ) -> Iterator[tuple[Shot, tuple[Capture, ...]]]:
-    """`simulate`, shot by shot: for campaigns that do not fit into memory."""
+    """`simulate`, shot by shot: for campaigns that do not fit into memory.
+
+    ``rendering(done, total, words)`` is called after every pass of a renderer.
+    """
     check_sensor(model, plan)
     values = values or {}
     camera = camera_with(model, plan, values)
@@ -91,6 +96,7 @@ def shoot(
     for shot in plan.shots:
         setup = shot_setup(plan, shot, values)
         factors = frame_levels(plan, shot, seed) if draw else None
+        mean_electrons(camera, setup, progress=rendering)
         frames = expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
         yield shot, frames
         if camera.effect("lag") is not None:
@@ -173,10 +179,11 @@ def expose(
     sensor_seed: int | None = None,
     frame_factors: Float | None = None,
     previous: float = 0.0,
+    mean: Float | None = None,
 ) -> tuple[Capture, ...]:
-    """The frames of one shot.  ``previous`` is the mean charge of the shot before it, in e-."""
+    """The frames of one shot.  ``previous`` is the mean charge of the shot before it, in e-; ``mean`` replaces the light."""
     shot = setup.shot
-    mean = mean_electrons(model, setup)
+    mean = mean_electrons(model, setup) if mean is None else mean
     context = make_context(model, setup, seed=seed, sensor_seed=seed if sensor_seed is None else sensor_seed, mode=mode)
     gaussian = bool(mean.mean() > 30)
     threads = min(2, os.cpu_count() or 1) if mean.size > BIG_PX else 1

@@ -110,7 +110,16 @@ def simulate(args: argparse.Namespace, console: Console) -> Outcome:
     total = len(plan.shots)
 
     def shots() -> Any:
-        made_shots = shoot(model, plan, args.seed, values=values, draw=args.draw, sensor_seed=args.sensor_seed)
+        made_shots = shoot(
+            model,
+            plan,
+            args.seed,
+            values=values,
+            draw=args.draw,
+            sensor_seed=args.sensor_seed,
+            rendering=lambda done, all_passes, words: console.progress(f"rendering: {words}", done, all_passes),
+        )
+        console.say(f"shooting {plan.shots[0].name}")
         for i, (shot, frames) in enumerate(made_shots):
             console.progress(f"shooting {shot.name}", i + 1, total)
             yield shot, frames

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,14 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("--f-number", type=float, help="the f-number that the lens is said to have")
     p.add_argument("--sensor-diagonal", type=float, metavar="MM", help="diagonal of the sensor in mm")
     p.add_argument("--film", type=float, metavar="MM", help="film to rear vertex, where f-number and fall-off are taken")
+    p.add_argument(
+        "--focus",
+        action="append",
+        type=_focus_pair,
+        default=[],
+        metavar="FILM_MM=OBJECT_M",
+        help="a film distance that is said to focus an object (front vertex to object); may be given several times",
+    )
     p.set_defaults(handler=lens_audit, writes_result=True)
     p = commands.add_parser("report", parents=[common], help="results -> one self-contained page", description=report.__doc__)
     p.add_argument("results", nargs="+", metavar="RESULT", type=Path, help="JSON results of measure, compare, diagnose, demo")
@@ -109,6 +118,18 @@ def doctor(args: argparse.Namespace, console: Console) -> Outcome:
     return Outcome({"kind": "doctor", "checks": [vars(c) for c in checks], "mitsuba": choice}, lines, code)
 
 
+def _focus_pair(text: str) -> tuple[float, float]:
+    """``FILM_MM=OBJECT_M`` as two positive lengths; ``inf`` is a far object."""
+    film, equals, distance = text.partition("=")
+    try:
+        pair = float(film), float(distance)
+    except ValueError:
+        pair = (math.nan, math.nan)
+    if not equals or not (0 < pair[0] < math.inf and pair[1] > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no FILM_MM=OBJECT_M, such as 0.52=0.5")
+    return pair
+
+
 def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
     """Print what a lens file holds (f-number, fall-off, chief rays, focus) and flag where it contradicts itself."""
     from isetval.lens import audit_file
@@ -116,7 +137,13 @@ def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
 
     digest = sha256_of(args.file)
     console.say(f"tracing rays through {args.file}")
-    found = audit_file(args.file, stated_f_number=args.f_number, sensor_diagonal_mm=args.sensor_diagonal, film_mm=args.film)
+    found = audit_file(
+        args.file,
+        stated_f_number=args.f_number,
+        stated_focus=dict(args.focus),
+        sensor_diagonal_mm=args.sensor_diagonal,
+        film_mm=args.film,
+    )
     return Outcome({"kind": "lens audit", **found.to_json()}, found.lines(), FINE, {str(args.file): digest})
 
 

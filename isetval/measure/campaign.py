@@ -13,6 +13,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, MetricTable
+from isetval.measure.patchsummary import patch_summary
 from isetval.measure.summaries import session_summaries, wanted
 
 Progress = Callable[[str, int, int], None]
@@ -34,6 +35,7 @@ def measure_campaign(
     choices: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
     summaries: bool = True,
+    patches: Mapping[str, Any] | None = None,
 ) -> MetricTable:
     """Measure every shot of a campaign.
 
@@ -48,7 +50,9 @@ def measure_campaign(
         Called as ``progress(shot name, done, all)``.
     summaries : bool
         Add what people quote of a session (conversion gain, read noise, PRNU, DSNU, dark current per
-        plane), marked ``summary``.
+        plane; noise of uniform patches of charts and scenes), marked ``summary``.
+    patches : mapping, optional
+        Arguments of `uniform_patches` for those, for instance ``method="lyu2022"`` with ``gain_dn_per_e``.
 
     Returns
     -------
@@ -61,6 +65,7 @@ def measure_campaign(
         If no shot of the campaign can be measured.
     """
     blocks: list[Block] = []
+    patch_blocks: list[Block] = []
     notes: list[str] = []
     frames: dict[str, Sequence[Capture]] = {}
     made: dict[str, Any] = {}
@@ -75,6 +80,8 @@ def measure_campaign(
                 blocks.append(block)
                 if block.choices:
                     made[f"{shot.name}/{name}"] = dict(block.choices)
+            if summaries:
+                patch_blocks.append(_patches(shot, captures, patches, notes))
         except InputError as error:
             notes.append(f"shot {shot.name} left out: {error}")
         if progress is not None:
@@ -85,9 +92,18 @@ def measure_campaign(
         )
     if summaries:
         more, remarks = session_summaries(campaign, frames)
-        blocks += more
+        blocks += [*more, *(block for block in patch_blocks if block.metrics)]
         notes += remarks
     return MetricTable(tuple(blocks), choices=made, notes=tuple(notes), settings={"campaign": campaign.name})
+
+
+def _patches(shot: Shot, captures: Sequence[Capture], options: Mapping[str, Any] | None, notes: list[str]) -> Block:
+    """Uniform patches of a shot, or none with a note of the reason."""
+    try:
+        return patch_summary(shot, captures, options)
+    except InputError as error:
+        notes.append(f"shot {shot.name}: no uniform patches: {error}")
+        return Block(())
 
 
 def measure_shot(shot: Shot, captures: Sequence[Capture], *, choices: Mapping[str, Any] | None = None) -> list[tuple[str, Block]]:

@@ -92,7 +92,7 @@ def image_space_irradiance(
 def _blocks(crop: Crop, camera: Mapping[str, Any]) -> list[Crop]:
     """Blocks of one blur each, finer around the axis, where the meridian turns from pixel to pixel."""
     near = NEAR_AXIS_MM / (camera["pixel_um"] * 1e-3)
-    out = []
+    out: list[Crop] = []
     for block in split_tiles(crop, BLOCK_PX):
         row, col = (
             max(0.0, first - side / 2, side / 2 - first - n)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,27 +22,40 @@ from isetval.scenes import cache
 Float = NDArray[np.float64]
 Crop = tuple[int, int, int, int]
 Progress = Callable[[int, int, str], None]
+DRAWS = 4
+
+
+def signs(index: int) -> Float:
+    """Signs (DRAWS,) of a pass in the contrasts: Walsh functions, orthogonal and balanced over every 8 passes."""
+    return np.array([1.0 - 2.0 * ((index & m).bit_count() % 2) for m in range(1, DRAWS + 1)])
 
 
 @dataclass(frozen=True, eq=False)
 class Running:
-    """Mean and sum of squared deviations of ``count`` passes, arrays of any one shape."""
+    """Mean and sum of squared deviations of ``count`` passes, arrays of any one shape.
+
+    ``contrasts`` (DRAWS, ...) are sums of the passes with signs, ``balance`` (DRAWS,) the sums of the signs.
+    """
 
     count: int
     mean: Float
     squares: Float
+    contrasts: NDArray[np.float32]
+    balance: Float
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> Running:
         """No passes yet."""
-        return cls(0, np.zeros(shape), np.zeros(shape))
+        return cls(0, np.zeros(shape), np.zeros(shape), np.zeros((DRAWS, *shape), np.float32), np.zeros(DRAWS))
 
     def add(self, image: Float) -> Running:
         """With one more pass."""
         count = self.count + 1
         delta = image - self.mean
         mean = self.mean + delta / count
-        return Running(count, mean, self.squares + delta * (image - mean))
+        sign = signs(self.count)
+        contrasts = self.contrasts + (sign.reshape(-1, *[1] * image.ndim) * image).astype(np.float32)
+        return Running(count, mean, self.squares + delta * (image - mean), contrasts, self.balance + sign)
 
     def merge(self, other: Running) -> Running:
         """With the passes of another run, made elsewhere with other seeds."""
@@ -56,7 +69,7 @@ class Running:
         delta = other.mean - self.mean
         mean = self.mean + delta * (other.count / count)
         squares = self.squares + other.squares + delta**2 * (self.count * other.count / count)
-        return Running(count, mean, squares)
+        return Running(count, mean, squares, self.contrasts + other.contrasts, self.balance + other.balance)
 
     @property
     def variance_of_mean(self) -> Float:
@@ -64,6 +77,23 @@ class Running:
         if self.count < 2:
             return np.full(self.mean.shape, np.nan)
         return self.squares / (self.count * (self.count - 1))
+
+    @property
+    def draws(self) -> NDArray[np.float32]:
+        """Draws (DRAWS, ...) from the distribution of the mean's error, with its covariance over pixels and bands.
+
+        Half the difference between two halves of the passes has the variance of the mean; with signs s that sum to b, the
+        contrast sum s (x - mean) over sqrt(n (n - b^2 / n)) has.  Contrasts that fewer than 8 passes do not have repeat
+        the first.
+        """
+        out = np.zeros_like(self.contrasts)
+        n = self.count
+        for i, b in enumerate(self.balance):
+            k = i if b * b < n * n else 0
+            b = float(self.balance[k])
+            if b * b < n * n:
+                out[i] = (self.contrasts[k] - b * self.mean) / np.sqrt(n * (n - b * b / n))
+        return out
 
 
 @dataclass(frozen=True)
@@ -134,6 +164,8 @@ class Render:
     crop : (row0, col0, rows, cols) on the full sensor grid
     settings : mapping
         Everything needed to render it again: scene, camera, seeds, passes, variant, versions, noise reached.
+    draws : float32 (draws, bands, rows, cols)
+        Errors as large as the mean's own, from differences of its passes; see `Running.draws`.
     """
 
     radiance: NDArray[np.float32]
@@ -142,6 +174,11 @@ class Render:
     wavelength_nm: Float
     crop: Crop
     settings: Mapping[str, Any] = field(default_factory=dict)
+    draws: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 0, 0), np.float32))
+
+    def with_draw(self, index: int) -> Render:
+        """The render with one draw of its error added."""
+        return replace(self, radiance=self.radiance + self.draws[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,21 +268,22 @@ def run_passes(
     return image, plan.target.noise(watched) if plan.target and image.count > 1 else float("nan")
 
 
+KINDS, PARTS = ("image", "watched"), ("mean", "squares", "contrasts", "balance")
+
+
+def _fields() -> set[str]:
+    return {"count", *(f"{kind}_{part}" for kind in KINDS for part in PARTS)}
+
+
 def _resume(folder: Path | None, shape: tuple[int, ...], plan: PassPlan) -> tuple[Running, Running]:
     state = cache.load_arrays(folder / "passes.npz") if folder is not None else None
-    names = {"count", "mean", "squares", "watched_mean", "watched_squares"}
-    if state and names <= state.keys() and state["mean"].shape == shape and int(state["count"]) <= plan.passes:
+    if state and _fields() <= state.keys() and state["image_mean"].shape == shape and int(state["count"]) <= plan.passes:
         count = int(state["count"])
-        return Running(count, state["mean"], state["squares"]), Running(count, state["watched_mean"], state["watched_squares"])
+        image, watched = ([state[f"{kind}_{part}"] for part in PARTS] for kind in KINDS)
+        return Running(count, *image), Running(count, *watched)
     return Running.empty(shape), Running.empty(shape[1:])
 
 
 def _store(folder: Path, image: Running, watched: Running) -> None:
-    state = {
-        "count": np.array(image.count),
-        "mean": image.mean,
-        "squares": image.squares,
-        "watched_mean": watched.mean,
-        "watched_squares": watched.squares,
-    }
-    cache.save_arrays(folder / "passes.npz", state)
+    state = {f"{kind}_{part}": getattr(of, part) for kind, of in zip(KINDS, (image, watched), strict=True) for part in PARTS}
+    cache.save_arrays(folder / "passes.npz", state | {"count": np.array(image.count)})

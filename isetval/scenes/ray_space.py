@@ -77,7 +77,7 @@ def ray_space_irradiance(
         progress=progress,
         lens=tables,
     )
-    mean, variance, _, settings = job.run(crop)
+    mean, variance, _, _, settings = job.run(crop)
     lens = {
         "path": "ray space",
         "lens": view.lens.name,

@@ -30,7 +30,7 @@ FINE_PX = 2_000_000
 COARSE_PX = 64
 
 
-def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | None = None) -> Signal:
+def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | None = None, draw: int | None = None) -> Signal:
     """Spectral radiance (bands, rows, cols) that a rendered scene sends to each pixel of the window.
 
     Parameters
@@ -42,6 +42,8 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
         Sensor, window and rotation of the camera.
     progress : callable, optional
         ``progress(done, total, words)`` after every pass.
+    draw : int, optional
+        Add this draw of the render's error (`isetval.scenes.passes.Render.draws`).
 
     Returns
     -------
@@ -58,6 +60,8 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
     loaded = load_target(scene)
     lamp = scene.white if np.any(scene.white > 0) else own_lamp(scene)
     transport = _transport(loaded, scene, context, progress)
+    if draw is not None:
+        transport = replace(transport, render=transport.render.with_draw(draw))
     rows, cols = context.window[2:]
     amplitude = (lamp[:, None, None] * _field(scene, context))[..., :rows, :cols]
     layers = [Layer(amplitude, transport)]
@@ -139,7 +143,8 @@ def _transport(loaded: LoadedScene, scene: Scene, context: Context, progress: Pr
     if scene.bounce:
         direct = render({**loaded.spec, "bounces": 1}, **shared)
         more = made.radiance + scene.bounce * (made.radiance - direct.radiance)
-        made = replace(made, radiance=np.maximum(more, 0))
+        draws = made.draws + np.float32(scene.bounce) * (made.draws - direct.draws)
+        made = replace(made, radiance=np.maximum(more, 0), draws=draws)
     return Picture(made, s, halo)
 
 

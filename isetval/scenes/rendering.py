@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from isetval.core.errors import InputError
 from isetval.scenes import cache as store
 from isetval.scenes.lens_grid import LensTables
-from isetval.scenes.passes import Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
+from isetval.scenes.passes import DRAWS, Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
 from isetval.scenes.spectra import band_feet_nm
 from isetval.scenes.variants import VariantChoice, choose_variant, mitsuba_version
 
@@ -89,9 +89,9 @@ def render(
         keep=cache,
         progress=progress,
     )
-    radiance, variance, depth, settings = job.run(crop)
+    radiance, variance, depth, draws, settings = job.run(crop)
     assert depth is not None
-    return Render(radiance, variance, depth, job.bands, settings["crop"], settings)
+    return Render(radiance, variance, depth, job.bands, settings["crop"], settings, draws)
 
 
 class Job:
@@ -121,26 +121,28 @@ class Job:
         self.keep, self.progress, self.tiles = keep, progress, 1
         self.content = scene_content(spec, self.camera) | ({} if lens is None else {"lens": asdict(lens)})
 
-    def run(self, crop: Crop | None) -> tuple[Any, Any, NDArray[np.float32] | None, dict[str, Any]]:
-        """Mean and variance (bands, rows, cols), depth (rows, cols) or None, settings."""
+    def run(self, crop: Crop | None) -> tuple[Any, Any, NDArray[np.float32] | None, Any, dict[str, Any]]:
+        """Mean and variance (bands, rows, cols), depth (rows, cols) or None, draws (draws, bands, rows, cols), settings."""
         begun = time.perf_counter()
         crop = check_crop(crop, self.camera)
         tiles = split_tiles(crop, TILE_PX)
         self.tiles = len(tiles)
         mean, variance = (np.empty((len(self.bands), *crop[2:]), np.float32) for _ in range(2))
+        draws = np.empty((DRAWS, *mean.shape), np.float32)
         depth = np.empty(crop[2:], np.float32) if self.lens is None else None
         reports = []
         for index, tile in enumerate(tiles):
             running, tile_depth, report = self.render_tile(index, tile)
             rows, cols = (slice(tile[i] - crop[i], tile[i] - crop[i] + tile[i + 2]) for i in (0, 1))
             mean[:, rows, cols], variance[:, rows, cols] = running.mean, running.variance_of_mean
+            draws[:, :, rows, cols] = running.draws
             if depth is not None:
                 depth[rows, cols] = tile_depth
             reports.append(report)
         if self.keep:
             store.prune(store.cache_folder() / "renders", max_bytes=CACHE_BYTES)
         done = {"crop": crop, "tiles": reports, "seconds": time.perf_counter() - begun}
-        return mean, variance, depth, self.settings() | done
+        return mean, variance, depth, draws, self.settings() | done
 
     def settings(self) -> dict[str, Any]:
         """What it takes to render this again."""
@@ -160,7 +162,7 @@ class Job:
     def _key(self, plan: PassPlan) -> str:
         return store.content_key(
             {
-                "format": "isetval-render-2",
+                "format": "isetval-render-3",
                 "content": self.content,
                 "bands": self.bands,
                 "tile": plan.tile,

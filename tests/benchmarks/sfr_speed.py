@@ -19,6 +19,7 @@ from isetval.measure.edge import sfr, sfr_batch
 from isetval.scenes.edge_truth import EdgeBlur, EdgeTruth, edge_capture
 
 REGIONS = 40
+REPEATS = 9
 
 
 def floor(values: np.ndarray, slope: float) -> np.ndarray:
@@ -31,14 +32,11 @@ def floor(values: np.ndarray, slope: float) -> np.ndarray:
     return np.abs(np.fft.rfft(np.diff(esf)))
 
 
-def seconds(task: Callable[[], object], repeats: int = 5) -> float:
-    """Least processor time of several repeats."""
-    best = np.inf
-    for _ in range(repeats):
-        start = time.process_time()
-        task()
-        best = min(best, time.process_time() - start)
-    return best
+def seconds(task: Callable[[], object]) -> float:
+    """Processor time."""
+    start = time.process_time()
+    task()
+    return time.process_time() - start
 
 
 def main() -> dict[str, float]:
@@ -49,16 +47,21 @@ def main() -> dict[str, float]:
     images = [c.mosaic.astype(float) for c in captures]
     rois = [None] * REGIONS
     sfr_batch(captures, rois)
-    least = seconds(lambda: [floor(image, 0.1) for image in images]) / REGIONS
-    single = seconds(lambda: [sfr(c) for c in captures]) / REGIONS
-    batch = seconds(lambda: sfr_batch(captures, rois)) / REGIONS
-    return {
-        "floor_per_second": 1 / least,
-        "single_per_second": 1 / single,
-        "batch_per_second": 1 / batch,
-        "single_over_floor": single / least,
-        "batch_over_floor": batch / least,
+    tasks = {
+        "floor": lambda: [floor(image, 0.1) for image in images * 3],
+        "single": lambda: [sfr(c) for c in captures],
+        "batch": lambda: sfr_batch(captures, rois),
     }
+    # side by side, so that both sides of a ratio see the same load
+    each = np.array([[seconds(task) for task in tasks.values()] for _ in range(REPEATS)]) / REGIONS
+    each[:, 0] /= 3
+    found = {f"{name}_per_second": float(1 / np.median(time)) for name, time in zip(tasks, each.T, strict=True)}
+    for k, name in ((1, "single"), (2, "batch")):
+        ratio = each[:, k] / each[:, 0]
+        found[f"{name}_over_floor"] = float(np.median(ratio))
+        found[f"{name}_over_floor_least"] = float(ratio.min())
+    found["single_over_batch"] = float(np.median(each[:, 1] / each[:, 2]))
+    return found
 
 
 if __name__ == "__main__":
@@ -66,4 +69,4 @@ if __name__ == "__main__":
     if "--json" in sys.argv:
         sys.stdout.write(json.dumps(found) + "\n")
     else:
-        sys.stdout.write("".join(f"{name:20s} {value:10.1f}\n" for name, value in found.items()))
+        sys.stdout.write("".join(f"{name:24s} {value:10.1f}\n" for name, value in found.items()))

@@ -122,3 +122,18 @@ def test_a_lens_of_circles_and_one_without_any_focus_are_audited_too() -> None:
     assert "focus_not_conjugate" in codes(hole)
     json.dumps(hole.to_json(), allow_nan=False)
     assert hole.lines()
+
+
+def test_the_command_takes_stated_focus(capsys) -> None:
+    from isetval.cli import main
+    from isetval.lens.stored import data_folder
+
+    lens = str(data_folder() / "default_lens.json")
+    assert main(["lens", "audit", lens, "--focus", "0.3030=0.5", "--focus", "0.25=0.3", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    stated = {s["film_mm"]: s for s in found["focus"]["stated"]}
+    assert stated[0.25]["found_object_m"] > 1.0
+    flags = [f for f in found["flags"] if f["code"] == "focus_not_conjugate"]
+    assert ["0.25" in f["found"] for f in flags] == [True]  # 0.3030 mm is conjugate to 0.5 m by the file's own rays
+    for words in ("0.52", "a=1", "0.5=-1", "=1", "inf=1"):
+        assert main(["lens", "audit", lens, "--focus", words]) == 2

@@ -143,7 +143,9 @@ def both(spec, view, crop, spp, subsample=2):
     b = ray_space_irradiance(spec, view, camera=CAMERA, crop=crop, wavelength_nm=BANDS, spp=spp, seed=1)
     camera = pupil_camera(view, CAMERA, subsample=subsample)
     place = pupil_crop(view, CAMERA, crop, subsample=subsample, halo_px=32)
-    made = render(spec, camera=camera, crop=place, wavelength_nm=BANDS, spp=spp // 4, seed=2, variant="auto")
+    made = render(
+        spec, camera=camera, crop=place, wavelength_nm=BANDS, spp=spp // 16, seed=2, variant="auto"
+    )  # the blur averages
     a = image_space_irradiance(made, view, camera=CAMERA, crop=crop, subsample=subsample, halo_px=32, diffraction=False)
     return (out.irradiance.mean(axis=0, dtype=float) for out in (a, b))
 

@@ -7,7 +7,17 @@ from pathlib import Path
 import pytest
 
 STORED = Path(__file__).resolve().parents[2] / "data" / "stored" / "simulator_checks.json"
-ASKED = {"furnace": 4, "closed box": 4, "uniform field": 3, "Pixel 4a, Mitsuba": 4, "Pixel 4a, image space": 12}
+ASKED = {
+    "furnace": 4,
+    "closed box": 4,
+    "uniform field": 3,
+    "Pixel 4a, Mitsuba": 4,
+    "Pixel 4a, image space": 24,
+    "textbook lens": 8,
+    "scalar against": 2,
+    "time of the lens sensor": 1,
+    "minutes": 1,
+}
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError
-from isetval.measure.edge.estimate import Estimates, measure_edges
+from isetval.measure.edge.estimate import measure_edges
+from isetval.measure.edge.found import Estimates, checked_choices
 from isetval.measure.edge.locate import FirstLooks, first_look, first_width
+from isetval.measure.edge.oecf import Oecf, linearised
 from isetval.measure.edge.report import Request, refused, results
 from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.samples import Samples, check_channel, plane_samples
@@ -34,6 +36,7 @@ def sfr(
     *,
     method: str = "default",
     choices: Mapping[str, Any] | None = None,
+    oecf: Oecf = None,
 ) -> SfrResult:
     """Slanted-edge spatial frequency response of one region.
 
@@ -51,6 +54,8 @@ def sfr(
     choices : mapping or None
         ``choices`` of another result, to make the same data-driven choices (order of the edge, width and
         stiffness of the spline) again.
+    oecf : "srgb", number, pairs or None
+        Curve of a rendered image, to be undone first: see ``isetval.measure.edge.oecf``.  Raw data need none.
 
     Returns
     -------
@@ -62,7 +67,9 @@ def sfr(
     InputError
         For a region outside the capture, an unknown channel or method.
     """
-    return sfr_batch(capture, [roi], channel, method=method, choices=choices)[0]
+    if not isinstance(capture, Capture):
+        raise InputError(f"sfr needs a Capture, not {type(capture).__name__}; see Capture.from_array")
+    return sfr_batch(capture, [roi], channel, method=method, choices=choices, oecf=oecf)[0]
 
 
 def sfr_batch(
@@ -72,6 +79,7 @@ def sfr_batch(
     *,
     method: str = "default",
     choices: Mapping[str, Any] | None = None,
+    oecf: Oecf = None,
 ) -> list[SfrResult]:
     """``sfr`` of many regions: of one capture, or of as many captures as regions.
 
@@ -82,14 +90,17 @@ def sfr_batch(
     """
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
+    if not hasattr(rois, "__len__"):
+        raise InputError(f"rois is a {type(rois).__name__}; it needs a list of regions, None for a whole capture")
     many = [captures] * len(rois) if not isinstance(captures, Sequence) else list(captures)
+    choices = checked_choices(choices)
     if len(many) != len(rois):
         raise InputError(f"{len(many)} captures and {len(rois)} regions; give one capture, or one for each region")
-    jobs = [_job(c, r, channel, i) for i, (c, r) in enumerate(zip(many, rois, strict=True))]
+    jobs = [_job(c, r, channel, i, oecf) for i, (c, r) in enumerate(zip(many, rois, strict=True))]
     if method != "default":
         from isetval.measure.edge.iso import compatibility_sfr
 
-        return [compatibility_sfr(job.capture, job.roi, channel=job.channel, method=method) for job in jobs]
+        return [compatibility_sfr(job.capture, job.roi, channel=job.channel, method=method, oecf=oecf) for job in jobs]
     out: dict[int, SfrResult] = {}
     for group in _groups([_sampled(job) for job in jobs], out):
         _measure(group, out, choices)
@@ -106,10 +117,16 @@ class _Job(Request):
     refusal: Mapping[str, str] | None = None
 
 
-def _job(capture: Capture, roi: Roi | None, channel: str, index: int) -> _Job:
+def _job(capture: Capture, roi: Roi | None, channel: str, index: int, oecf: Oecf) -> _Job:
     if not isinstance(capture, Capture):
         raise InputError(f"sfr needs a Capture, not {type(capture).__name__}; see Capture.from_array")
-    return _Job(capture, check_roi(capture, roi), check_channel(capture, channel), index)
+    try:
+        box = check_roi(capture, roi)
+    except InputError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(f"roi is {roi!r}; it needs four whole numbers (row0, row1, col0, col1), half open") from error
+    return _Job(capture, box, check_channel(capture, channel), oecf, index)
 
 
 def _sampled(job: _Job) -> _Job:
@@ -118,7 +135,7 @@ def _sampled(job: _Job) -> _Job:
     if min(box[1] - box[0], box[3] - box[2]) < 8:
         message = f"the region is {box[1] - box[0]} x {box[3] - box[2]} px; enlarge it"
         return replace(job, refusal={"roi_too_small": message})
-    samples = plane_samples(job.capture, box, job.channel)
+    samples = linearised(plane_samples(job.capture, box, job.channel), job.capture, job.oecf)
     small = too_small(samples, job.channel)
     return replace(job, refusal={"roi_too_small": small}) if small else replace(job, samples=samples)
 
@@ -181,7 +198,7 @@ def _measure(jobs: list[_Job], out: dict[int, SfrResult], choices: Mapping[str, 
 
 def _turned(job: _Job) -> _Job:
     samples = plane_samples(job.capture, job.roi, job.channel, transposed=not _samples_of(job).transposed)
-    return replace(job, samples=samples, turned=True)
+    return replace(job, samples=linearised(samples, job.capture, job.oecf), turned=True)
 
 
 def _estimates(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None) -> list[Estimates]:

@@ -28,6 +28,7 @@ MAX_PIECE_PX = 260.0
 MAX_CLEAR_PX = 90.0
 MIN_ANGLE_DEG = 1.0
 CLEAR_LEVEL = 0.15
+MAX_SHADING = 0.7
 PATTERN_COUNT = 4
 PATTERN_REACH = 0.6
 
@@ -94,6 +95,7 @@ def find_edges(capture: Capture, channel: str = "G") -> FoundEdges:
     """
     if not isinstance(capture, Capture):
         raise InputError(f"find_edges needs a Capture, not {type(capture).__name__}; see Capture.from_array")
+    check_channel(capture, channel)
     if min(capture.mosaic.shape) < 24:
         return FoundEdges()
     image, scale = working_image(capture)
@@ -165,7 +167,7 @@ def _try_piece(
         return drop("too_short", f"{full.length_px:.0f} px long; needs {MIN_LENGTH_PX:g}")
     folded = abs((full.normal_deg + 45) % 90 - 45)
     if not MIN_ANGLE_DEG <= folded <= 45 - MIN_ANGLE_DEG:
-        return drop("angle", f"{folded:.1f} degrees from a pixel axis; needs {MIN_ANGLE_DEG:g} to {45 - MIN_ANGLE_DEG:g}")
+        return drop("angle", f"{folded:.2f} degrees from a pixel axis; needs {MIN_ANGLE_DEG:g} to {45 - MIN_ANGLE_DEG:g}")
     if piece.bend_px > 0.06 * piece.length_px + 1:
         return drop("not_straight", f"bends by {piece.bend_px * scale:.1f} px over {full.length_px:.0f} px")
     if neighbours >= PATTERN_COUNT:
@@ -173,7 +175,7 @@ def _try_piece(
     clear = clear_width(image, piece) * scale
     need = max(MIN_CLEAR_PX, 4 * piece.width_px * scale)
     if clear < need:
-        return drop("crowded", f"other structure {clear:.0f} px from the edge; needs {need:.0f}")
+        return drop("crowded", f"other structure {clear:.1f} px from the edge; needs {need:.1f}")
     roi = place_roi(
         capture,
         full,
@@ -212,24 +214,27 @@ def clear_width(image: Float, segment: Segment) -> float:
     blocks = np.array(
         [np.nanmean(_filled(part), axis=0) for part in np.array_split(values, max(1, len(along) // quarter), axis=0)]
     )
-    extents = []
-    levels = []
-    for side in (-1, 1):
-        first = np.abs(across - side * (near + 1.5)) <= 1.5
-        levels.append(float(np.median(blocks[:, first])))
-    step = abs(levels[1] - levels[0])
-    if step <= 0:
+    levels = [_trend(blocks[:, np.abs(across - side * (near + 1.5)) <= 1.5].mean(axis=1)) for side in (-1, 1)]
+    step = abs(float(np.mean(levels[1] - levels[0])))
+    if step <= 0 or max(float(np.ptp(level)) for level in levels) > MAX_SHADING * step:
         return 0.0
+    extents = []
     for side, level in zip((-1, 1), levels, strict=True):
         order = np.argsort(side * across)
         order = order[(side * across[order]) > near]
-        worst = np.abs(blocks[:, order] - level).max(axis=0)
+        worst = np.abs(blocks[:, order] - level[:, None]).max(axis=0)
         # shading may change the level along the way; half of the step is another structure
         limit = max(CLEAR_LEVEL, 3 * segment.noise / step) * step
         blocked = np.flatnonzero((worst > limit) | np.isin(order, outside))
         stop = int(blocked[0]) if len(blocked) else len(order)
         extents.append(float(np.abs(across[order[stop - 1]])) if stop > 0 else near)
     return min(extents)
+
+
+def _trend(level: Float) -> Float:
+    """Straight line through levels along the edge: shading is no structure."""
+    place = np.arange(len(level)) - (len(level) - 1) / 2
+    return np.asarray(level.mean() + place * ((place @ level) / max(float(place @ place), 1.0)))
 
 
 def _filled(part: Float) -> Float:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.measure.edge import basis, transform
+from isetval.measure.edge.found import Estimates
 from isetval.measure.edge.gather import Binned, gather, noise_level
 from isetval.measure.edge.locate import FirstLooks, thinning
-from isetval.measure.edge.rough import common_error, locate, start_shapes
+from isetval.measure.edge.rough import locate, rounding_error, start_shapes
 from isetval.measure.edge.rows import core_of, core_view, row_shifts, update_lines
 from isetval.measure.edge.shading import SideNoise, fit_along, gain_of
 from isetval.measure.edge.shape import Shapes, grid
@@ -26,89 +27,10 @@ PASSES = 8
 POLISH = 3
 LINE_DONE_PX, LINE_DONE_SIGMA = 2e-4, 0.15
 MODEL_ERROR = 2e-5
+UNDITHERED = 0.01
 ALONG_DONE, ACROSS_DONE = 0.0005, 0.0007
 PLAIN_LIGHT = 0.02
 MAX_GAIN = 0.8
-
-
-@dataclass(frozen=True, eq=False)
-class Estimates:
-    """Everything that the fit of a stack found; lines count from the regions' origins, arrays (regions, ...).
-
-    ``names`` are the regions' places in the stack that was asked for; ``scatter_dn`` of the values about their
-    cells' means; ``near_px`` distances of the samples near the edge; ``information`` on the edges' place, 1/px^2.
-    """
-
-    names: Index
-    stack: Stack
-    lines: EdgeLines
-    gain: Float
-    half_px: float
-    fits: EsfFits
-    noise: SideNoise
-    scatter_dn: Float
-    distance_px: Float
-    near_px: Float
-    information: Float
-    row_chi2: Float
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    @cached_property
-    def reach_px(self) -> tuple[Float, Float]:
-        """Least and largest distance from the edge."""
-        ends = self.distance_px[:, :, [0, -1]].reshape(len(self), -1)
-        return ends.min(axis=1), ends.max(axis=1)
-
-    @cached_property
-    def slope(self) -> Float:
-        """dx/dy of the edges at their middles."""
-        return self.lines.middle[1]
-
-    @cached_property
-    def angle_deg(self) -> Float:
-        """Angle from the nearer pixel axis, 0 to 45."""
-        angle = np.degrees(np.arctan(np.abs(self.slope)))
-        return np.asarray(np.minimum(angle, 90 - angle))
-
-    @property
-    def edge_sigma_px(self) -> Float:
-        """Standard deviation of the edge's place."""
-        return np.asarray(1 / np.sqrt(np.maximum(self.information, 1e-300)))
-
-    @property
-    def roughness_px(self) -> Float:
-        """Scatter of the edge's place from row to row beyond the noise."""
-        extra = (self.row_chi2 - 1) * len(self.stack.y_px) / np.maximum(self.information, 1e-300)
-        return np.asarray(np.sqrt(np.fmax(extra, 0.0)))
-
-    def pick(self, index: Index) -> Estimates:
-        """Those of some regions."""
-        return Estimates(
-            names=self.names[index],
-            stack=self.stack.pick(index),
-            lines=self.lines.pick(index),
-            gain=self.gain[index],
-            half_px=self.half_px,
-            fits=self.fits.pick(index),
-            noise=self.noise.pick(index),
-            scatter_dn=self.scatter_dn[index],
-            distance_px=self.distance_px[index],
-            near_px=self.near_px[index],
-            information=self.information[index],
-            row_chi2=self.row_chi2[index],
-        )
-
-    def choices(self, i: int) -> dict[str, Any]:
-        """What the data chose for region ``i``."""
-        return {
-            "order": int(self.lines.order[i]),
-            "width_index": transform.width_index(float(self.fits.width_px[i])),
-            "even": float(self.fits.even[i]),
-            "odd": float(self.fits.odd[i]),
-            "light": float(self.fits.light[i]),
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +188,10 @@ def _whole(task: _Task, state: _State) -> _Whole:
     binned = gather(np.divide(task.stack.values, light, out=light), distance, width)
     noise = noise_level(binned, floor=np.maximum(task.floor, (1e-5 * shapes.step) ** 2))
     level = shapes.at(binned.distance * (width / shapes.width_px)[:, None, None])[0]
-    common = common_error(noise, task.floor, MODEL_ERROR * shapes.step)[:, None, None]
+    rounding = rounding_error(noise, task.floor)
+    common = equal_cells(binned, level * shapes.step[:, None, None], rounding > UNDITHERED * task.floor)
+    common *= rounding[:, None, None]
+    common += ((MODEL_ERROR * shapes.step) ** 2)[:, None, None]
     place = binned.distance * (width / task.half_px)[:, None, None]
     variance = noise.at(level) + binned.number * common
     level *= shapes.step[:, None, None]
@@ -282,6 +207,20 @@ def _whole(task: _Task, state: _State) -> _Whole:
         choices=task.chosen,
     )
     return _Whole(fits, _table(fits), noise, binned, distance)
+
+
+def equal_cells(binned: Binned, expected_dn: Float, undithered: NDArray[np.bool_]) -> Float:
+    """Number of cells whose samples round to the same DN, where noise does not dither them: their rounding errors are one.
+
+    ``expected_dn`` is the level expected in every cell; 1 where noise dithers.
+    """
+    out = np.ones(binned.number.shape)
+    for i in np.flatnonzero(undithered):
+        seen = binned.number[i] > 0
+        value = expected_dn[i][seen]
+        order = np.sort(value)
+        out[i][seen] = np.searchsorted(order, value + 0.5, "right") - np.searchsorted(order, value - 0.5, "left")
+    return out
 
 
 def _table(fits: EsfFits) -> Shapes:

@@ -20,6 +20,7 @@ from isetval.core.capture import Capture, Roi, black_image_dn, plane_view
 from isetval.core.sensor import BAYER_PLANES
 from isetval.measure.edge import report, spectrum
 from isetval.measure.edge.locate import first_look, first_width
+from isetval.measure.edge.oecf import Oecf, linearised
 from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.samples import Samples, is_horizontal, plane_samples
 from isetval.measure.edge.stack import stacked
@@ -50,13 +51,14 @@ PROCEDURES = {
 }
 
 
-def compatibility_sfr(capture: Capture, roi: Roi, *, channel: str, method: str) -> SfrResult:
+def compatibility_sfr(capture: Capture, roi: Roi, *, channel: str, method: str, oecf: Oecf = None) -> SfrResult:
     """SFR by one of the published procedures; sigma by leaving out every eighth row in turn."""
     procedure = PROCEDURES[method]
     label = "luminance" if method == "lyu2022" and capture.sensor.cfa != "MONO" else channel
     if min(roi[1] - roi[0], roi[3] - roi[2]) < 8:
         return _refuse(capture, roi, label, method, code="roi_too_small", sentence="the region is below 8 px; enlarge it")
     samples = _luminance(capture, roi) if label == "luminance" else plane_samples(capture, roi, channel)
+    samples = linearised(samples, capture, oecf)
     small = too_small(samples, "MONO" if label == "luminance" else channel)
     if small:
         return _refuse(capture, roi, label, method, code="roi_too_small", sentence=small)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi
 from isetval.measure.edge import spectrum
-from isetval.measure.edge.estimate import Estimates
+from isetval.measure.edge.found import Estimates
+from isetval.measure.edge.oecf import Oecf
 from isetval.measure.edge.result import SfrResult
 from isetval.measure.edge.smooth import EsfFit, solve_lower
 from isetval.measure.edge.stack import EdgeLines, origin_of
@@ -67,8 +68,9 @@ def refused(capture: Capture, roi: Roi, *, channel: str, flags: Mapping[str, str
     )
 
 
-def _settings(capture: Capture, method: str) -> dict[str, Any]:
+def _settings(capture: Capture, method: str, oecf: Oecf = None) -> dict[str, Any]:
     return {
+        "oecf": oecf if oecf is None or isinstance(oecf, str) else np.asarray(oecf, dtype=float).tolist(),
         "method": method,
         "cfa": capture.sensor.cfa,
         "window": list(capture.window),
@@ -83,6 +85,7 @@ class Request:
     capture: Capture
     roi: Roi
     channel: str
+    oecf: Oecf = None
 
 
 def results(requests: Sequence[Request], found: Estimates, seen: Seen) -> list[SfrResult]:
@@ -140,7 +143,7 @@ def _result(
         roi=request.roi,
         pixel_um=request.capture.sensor.pixel_um,
         method="default",
-        settings=_settings(request.capture, "default"),
+        settings=_settings(request.capture, "default", request.oecf),
         choices=found.choices(i),
         inflation=inflation,
         fit=fit,

@@ -132,7 +132,8 @@ def locate(
 ) -> Rough:
     """Refine the lines, starting from ``shapes`` (their widths are the first ones)."""
     noise = SideNoise(np.maximum(noise.dark, floor), np.maximum(noise.bright, floor))
-    lines, shapes = _Turns(stack, p, gain, half_px, noise, floor, order).run(_Place(lines, shapes, lines, shapes.width_px))
+    common = rounding_error(noise, floor) + (MOVING_ERROR * shapes.step) ** 2
+    lines, shapes = _Turns(stack, p, gain, half_px, noise, common, order).run(_Place(lines, shapes, lines, shapes.width_px))
     _, width = shapes.center_and_width()
     return Rough(lines, width, shapes)
 
@@ -146,7 +147,7 @@ class _Turns:
     gain: Float
     half_px: float
     noise: SideNoise
-    floor: float
+    common: Float
     order: int | None
 
     def pick(self, index: Index) -> _Turns:
@@ -156,7 +157,7 @@ class _Turns:
             self.gain[index],
             self.half_px,
             self.noise.pick(index),
-            self.floor,
+            self.common[index],
             self.order,
         )
 
@@ -164,12 +165,11 @@ class _Turns:
         """Turn after turn; regions that rest leave the stack."""
         here = start
         core = core_of(self.stack, here.anchor, self.p, here.core_px)
-        common = common_error(self.noise, self.floor, MOVING_ERROR * here.shapes.step)
-        orders = None if self.order is None else np.full(len(common), self.order)
+        orders = None if self.order is None else np.full(len(self.common), self.order)
         while True:
             lines, shapes = here.lines, here.shapes
             view = core_view(self.stack, core, lines, self.p, gain=self.gain, half_px=self.half_px)
-            found = rough_shapes(core, view.values, view.distance, before=shapes, noise=self.noise, common=common)
+            found = rough_shapes(core, view.values, view.distance, before=shapes, noise=self.noise, common=self.common)
             shifts = row_shifts(core, view, found, self.noise)
             new, _ = update_lines(lines, self.p, shifts, order=orders)
             center, width = found.center_and_width()
@@ -220,11 +220,11 @@ def shifted(lines: EdgeLines, normal_px: Float) -> EdgeLines:
     return lines.moved(c)
 
 
-def common_error(noise: SideNoise, floor: float, model: Float) -> Float:
-    """Variance of a cell's mean that more samples do not lower, DN^2, (regions,).
+def rounding_error(noise: SideNoise, floor: float) -> Float:
+    """Variance of rounding that is common to samples of one phase, DN^2, (regions,).
 
     Rounding errors of samples at one phase are equal unless noise dithers them (their correlation falls
-    as exp(-4 pi^2 variance), variance in DN^2).  ``model``: standard deviation of what the model cannot follow.
+    as exp(-4 pi^2 variance), variance in DN^2).
     """
     dither = clip(np.minimum(noise.dark, noise.bright) - floor, 0.0, 10.0)
-    return np.asarray(floor * np.exp(-4 * np.pi**2 * dither) + model**2)
+    return np.asarray(floor * np.exp(-4 * np.pi**2 * dither))

@@ -41,6 +41,8 @@ class Samples:
     transposed : bool
     clipped_high, clipped_low : bool arrays (rows, n)
         Samples at or above the white level, at raw zero.
+    black_dn : float
+        Black level that was removed (its mean over the plane).
     """
 
     values: Float
@@ -51,25 +53,12 @@ class Samples:
     transposed: bool
     clipped_high: NDArray[np.bool_]
     clipped_low: NDArray[np.bool_]
+    black_dn: float = 0.0
 
     @property
     def x_px(self) -> Float:
         """Column coordinate of every sample, (rows, n)."""
         return np.asarray(self.x0_px[:, None] + self.step_px * np.arange(self.values.shape[1]))
-
-    def every(self, k: int) -> Samples:
-        """Every ``k``-th row, as symmetric about the middle as can be."""
-        start = ((len(self.y_px) - 1) % k) // 2
-        return Samples(
-            self.values[start::k],
-            self.x0_px[start::k],
-            self.y_px[start::k],
-            self.step_px,
-            self.row_step_px * k,
-            self.transposed,
-            self.clipped_high[start::k],
-            self.clipped_low[start::k],
-        )
 
     def flipped(self) -> Samples:
         """The same samples with rows and columns exchanged; needs a rectangular grid."""
@@ -85,6 +74,7 @@ class Samples:
             transposed=not self.transposed,
             clipped_high=self.clipped_high.T,
             clipped_low=self.clipped_low.T,
+            black_dn=self.black_dn,
         )
 
 
@@ -113,8 +103,9 @@ def plane_samples(capture: Capture, roi: Roi | None, channel: str, *, transposed
 
 def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
     view, (row, col), step = plane_view(capture, channel, box)
+    black = plane_black_dn(capture, channel)
     return Samples(
-        values=view - plane_black_dn(capture, channel),
+        values=view - black,
         x0_px=np.full(view.shape[0], float(col)),
         y_px=row + step * np.arange(view.shape[0], dtype=float),
         step_px=float(step),
@@ -122,6 +113,7 @@ def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
         transposed=False,
         clipped_high=view >= capture.sensor.white_dn,
         clipped_low=view <= 0,
+        black_dn=black,
     )
 
 
@@ -155,12 +147,17 @@ def _quincunx(capture: Capture, box: Roi, *, transposed: bool) -> Samples:
         transposed=transposed,
         clipped_high=out >= capture.sensor.white_dn,
         clipped_low=out <= 0,
+        black_dn=float(np.mean(black)),
     )
 
 
 def is_horizontal(values: Float) -> bool:
     """Whether the level changes more from row to row than from column to column."""
-    return bool(np.var(values.mean(axis=1)) > np.var(values.mean(axis=0)))
+    rows, cols = values.shape
+    down, right = values.sum(axis=1), values.sum(axis=0)
+    middle = down.sum() / (rows * cols)
+    down, right = down / cols - middle, right / rows - middle
+    return bool((down @ down) * cols > (right @ right) * rows)
 
 
 __all__ = ["BAYER_PLANES", "CHANNELS", "Samples", "check_channel", "plane_samples"]

@@ -1,7 +1,7 @@
 """Reason codes: why an edge is refused, or accepted with a warning.
 
 Refused (``flags``): ``roi_too_small``, ``no_edge``, ``low_contrast`` (step below 5 sigma of its
-noise), ``saturated``, ``angle_near_0``, ``angle_near_45``, ``angle_near_90``, ``phase_gaps``
+noise), ``saturated``, ``clipped_black``, ``angle_near_0``, ``angle_near_45``, ``angle_near_90``, ``phase_gaps``
 (pixels see too few positions of the edge), ``edge_near_border``, ``too_blurred``, ``two_edges`` (more
 than one transition, a corner or a pattern).  Warned: ``shallow_angle`` (below 3 degrees),
 ``short_edge`` (below 35, 70, 140 rows for one channel, greens, red or blue), ``clipped_black``,
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge.estimate import Estimates
+from isetval.measure.edge.found import Estimates
 from isetval.measure.edge.locate import FirstLooks, Transitions, is_sharp, pixel_noise, transitions
 from isetval.measure.edge.samples import Samples
 from isetval.measure.edge.shading import gain_of
@@ -30,6 +30,7 @@ MIN_STEP_SIGMA = 5.0
 MIN_ANGLE_DEG = 0.75
 SHALLOW_DEG = 3.0
 MAX_CLIPPED = 0.08
+MAX_CRUSHED = 0.5
 SECOND_EDGE = 0.12
 MISFIT = 0.07
 ROUNDING = 1 / 12
@@ -195,7 +196,12 @@ def _clipping(flags: dict[str, str], warnings: dict[str, str], found: Estimates,
         flags["saturated"] = f"{100 * share:.1f} % of the bright side is at the white level; expose less"
     dark = distance < -2 * width
     low = float(np.mean(samples.clipped_low[dark])) if dark.any() else 0.0
-    if low > MAX_CLIPPED and found.noise.dark[i] > (0.01 * found.fits.step[i]) ** 2:
+    if low > MAX_CRUSHED and samples.black_dn > 0:
+        flags["clipped_black"] = (
+            f"{100 * low:.0f} % of the dark side is at raw zero, {samples.black_dn:g} DN below black: its level is unknown; "
+            "do not subtract black twice"
+        )
+    elif low > MAX_CLIPPED:
         warnings["clipped_black"] = f"{100 * low:.0f} % of the dark side is at raw zero; its noise is cut and its mean biased up"
 
 

@@ -6,9 +6,12 @@
     straight    V = V0 + K L R'(L)^2            response m = R(L) known from exposure times
     straight2   the same + c L^2                brighter-fatter on top
 
-Weights come from the fitted variance itself (2 V^2 / dof), not from the scatter of each point.  The fits
-are averaged with weights exp(-(chi2 + penalty) / 2), so that a quadratic term enters as far as the
-data demand it; the sigma holds the spread between the fits and so covers that choice.
+Weights come from the fitted variance itself (2 V^2 / dof), not from the scatter of each point.
+
+The fits are averaged by their evidence.  A straight curve is taken as one whose c is small: c ~ N(0, SMALL_BEND_PER_E^2),
+the size that charge repulsion has in silicon (Astier et al. 2019 and others: 1e-6 to 3e-6 per electron); a bent one has c
+up to WIDE_BEND / (electrons at the top).  So a quadratic term enters as far as the data demand it, a small one
+is neither ignored nor fitted at full price, and the sigma covers that choice.
 """
 
 from __future__ import annotations
@@ -22,9 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
-SIGMA_FACTOR = 0.975
-# chi2 that a model must gain over the line; the third power only where the second plainly fails
-PENALTY = {"line": 0.0, "quadratic": 2.0, "cubic": 12.0, "straight": 0.0, "straight2": 2.0}
+# 68 % intervals then hold 66 to 70 % for bends of 0 to 2e-6 per electron, 60 to 65 % for two to four times the prior's width
+SIGMA_FACTOR = 0.955
+SMALL_BEND_PER_E = 2.5e-6
+WIDE_BEND = 0.2
+# chi2 that the third power must gain over the second: only where that plainly fails
+CUBIC_PENALTY = 10.0
+FREE = {"line": "quadratic", "straight": "straight2"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +114,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class CurveFit:
-    """Averaged photon-transfer fit; ``weights`` by model name add to one."""
+    """Averaged photon-transfer fit; ``weights`` by model name add to one, ``joint`` is the covariance of intercept and gain."""
 
     gain: float
     gain_sigma: float
@@ -119,6 +126,7 @@ class CurveFit:
     dof: int
     weights: Mapping[str, float]
     fits: Mapping[str, Fit] = field(default_factory=dict)
+    joint: float = 0.0
 
 
 def fit_curve(
@@ -143,36 +151,63 @@ def fit_curve(
     """
     wanted = None if weights is None else {n for n, w in weights.items() if w > 1e-4}
     fits = {f.name: f for f in _candidates(points, anchor, response, wanted)}
+    members = _members(fits, float(points.mean_dn.max()))
     if weights is None:
-        score = {n: f.chi2 + PENALTY[n] for n, f in fits.items()}
-        best = min(score.values())
-        raw = {n: math.exp(-(s - best) / 2) for n, s in score.items()}
+        best = min(score for _, score in members.values())
+        raw = {n: math.exp(-(score - best) / 2) for n, (_, score) in members.items()}
     else:
-        raw = {n: weights.get(n, 0.0) for n in fits}
+        raw = {n: weights.get(n, 0.0) for n in members}
         if not sum(raw.values()) > 0:
-            raw = {n: float(n == "line") for n in fits}
+            raw = {n: float(n == "line") for n in members}
     total = sum(raw.values())
     share = {n: w / total for n, w in raw.items()}
 
     def average(column: int) -> tuple[float, float]:
-        values = {n: float(f.coefficients[column]) if f.coefficients.size > column else 0.0 for n, f in fits.items()}
-        variances = {n: float(f.covariance[column, column]) if f.coefficients.size > column else 0.0 for n, f in fits.items()}
-        mean = sum(share[n] * values[n] for n in fits)
-        spread = sum(share[n] * (variances[n] + (values[n] - mean) ** 2) for n in fits)
-        return mean, SIGMA_FACTOR * math.sqrt(spread) if len(fits) > 1 else math.sqrt(spread)
+        there = {n: f for n, (f, _) in members.items() if f.coefficients.size > column}
+        values = {n: float(there[n].coefficients[column]) if n in there else 0.0 for n in members}
+        variances = {n: float(there[n].covariance[column, column]) if n in there else 0.0 for n in members}
+        mean = sum(share[n] * values[n] for n in members)
+        spread = sum(share[n] * (variances[n] + (values[n] - mean) ** 2) for n in members)
+        return mean, SIGMA_FACTOR * math.sqrt(spread) if len(members) > 1 else math.sqrt(spread)
 
-    # averaging covers a little too much where there is no bend and a little too little where it is half seen; with this
-    # factor 68 % intervals hold 65 to 72 % for quadratic terms of 0 to 2 sigma (linear model, 6000 draws each)
     (intercept, intercept_sigma), (gain, gain_sigma), (quadratic, quadratic_sigma) = average(0), average(1), average(2)
-    top = fits[max(share, key=lambda n: share[n])]
-    return CurveFit(gain, gain_sigma, intercept, intercept_sigma, quadratic, quadratic_sigma, top.chi2, top.dof, share, fits)
+    top = members[max(share, key=lambda n: share[n])][0]
+    joint = sum(share[n] * float(f.covariance[0, 1]) for n, (f, _) in members.items())
+    numbers = (gain, gain_sigma, intercept, intercept_sigma, quadratic, quadratic_sigma)
+    return CurveFit(*numbers, top.chi2, top.dof, share, fits, joint)
+
+
+def _members(fits: Mapping[str, Fit], top_dn: float) -> dict[str, tuple[Fit, float]]:
+    """What is averaged: fits with a prior on c where they have one, and minus twice the logarithm of their evidence."""
+    out: dict[str, tuple[Fit, float]] = {}
+    for name, fit in fits.items():
+        free = fits.get(FREE.get(name, name), fit)
+        if free.coefficients.size < 3:
+            out[name] = (fit, fit.chi2)
+            continue
+        electrons = top_dn / max(free.gain, 1e-9)
+        wide = max(WIDE_BEND / electrons, SMALL_BEND_PER_E)
+        out[name] = _with_prior(fit, free, SMALL_BEND_PER_E if name in FREE else wide)
+    if "cubic" in out:
+        out["cubic"] = (fits["cubic"], out["cubic"][1] + CUBIC_PENALTY)
+    return out
+
+
+def _with_prior(fit: Fit, free: Fit, width: float) -> tuple[Fit, float]:
+    """``free`` under c ~ N(0, width^2), with the residuals of ``fit``, and -2 ln of the evidence."""
+    bend, along = float(free.coefficients[2]), free.covariance[:, 2]
+    total = float(along[2]) + width**2
+    coefficients = free.coefficients - along * (bend / total)
+    covariance = free.covariance - np.outer(along, along) / total
+    score = free.chi2 + bend**2 / total + math.log(total / max(float(along[2]), 1e-300))
+    return Fit(fit.name, coefficients, covariance, fit.chi2, fit.dof, fit.residuals), score
 
 
 def _candidates(points: Points, anchor: Anchor | None, response: Response | None, wanted: set[str] | None) -> list[Fit]:
     """The fits that the number of levels allows, of the ``wanted`` names if given (a line if none of those can be made)."""
 
     def asked(name: str) -> bool:
-        return wanted is None or name in wanted
+        return wanted is None or name in wanted or any(FREE.get(w) == name for w in wanted)
 
     m, spread = points.mean_dn, points.spread_dn2
     square, cube = m**2 + spread, m**3 + 3 * m * spread

@@ -25,8 +25,9 @@ PLATEAU_SD = 4.5
 MAX_DEFECT_SHARE = 0.02
 SMALL_SPREAD_DN = 0.4
 ROUNDED_BELOW_DN2 = 0.6
-SKEWNESS_ERROR = 0.02
+SKEWNESS_ERROR, SKEWED = 0.02, 0.3
 ALL_PATTERNS_PIXELS = 4_000_000
+PATTERN_FROM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +81,9 @@ def measure_levels(
 ) -> LevelSeries:
     """Moments of every level; defective pixels (seen in the dark or in a middle level) are left out.
 
-    The fixed pattern is taken from every level of a small region, but from the middle level only of a large
-    one (of its center if it is very large), where that already reaches what the specimen's own pattern allows.
+    The fixed pattern is taken from every level of a small region that is above a tenth of the brightest (each other
+    weighs less than .01), but from the middle level only of a large one (of its center if it is very large), where that
+    already reaches what the specimen's own pattern allows.
     """
     tag = plane_black_dn(flats[0][0], plane)
     black = reference.black_dn if reference is not None else Quantity(tag, 0.0, "DN")
@@ -93,13 +95,14 @@ def measure_levels(
     if bad is not None:
         moments = frame_moments(views, black.value, bad=bad)
     small = whole[0].size * len(flats) <= ALL_PATTERNS_PIXELS
+    light = [float(passes.of(frames)[plane].row_means.mean()) - black.value for frames in flats]
     known = bad if views[0].shape == whole[0].shape else None
 
     def measure(i: int) -> Level:
         own, left_out = (moments, known) if i == middle else (None, known)
-        if small and i != middle:
-            frames = [plane_view(c, plane, roi)[0] for c in flats[i]]
-            own, left_out = frame_moments(frames, black.value, bad=bad), bad
+        if small and i != middle and light[i] > PATTERN_FROM * max(light):
+            frames = [central(plane_view(c, plane, roi)[0]) for c in flats[i]]
+            own = frame_moments(frames, black.value, bad=bad)
         return _level(flats[i], plane, roi, black.value, own, passes, left_out)
 
     levels = [measure(i) for i in range(len(flats))]
@@ -189,8 +192,16 @@ def _exact_rounding(
     if spread > SMALL_SPREAD_DN**2:
         return Quantity(unrounded_variance(variance.value) + 1 / 12, variance.sigma, "DN^2")
     exact = fit_quantized(views, bad).temporal_variance_dn2
-    # the skewness of few electrons shifts the fit of a normal distribution by a percent or two
-    return Quantity(exact.value + 1 / 12, math.hypot(exact.sigma, SKEWNESS_ERROR * exact.value), "DN^2")
+    # the skewness of few electrons shifts the fit of a normal distribution: by up to two percent where it is .3
+    doubt = SKEWNESS_ERROR * min(1.0, abs(_skewness(views[0])) / SKEWED)
+    return Quantity(exact.value + 1 / 12, math.hypot(exact.sigma, doubt * exact.value), "DN^2")
+
+
+def _skewness(view: NDArray[np.uint16]) -> float:
+    values = view.astype(np.float64)
+    values -= values.mean()
+    variance = float(np.mean(values**2))
+    return float(np.mean(values**3)) / variance**1.5 if variance > 0 else 0.0
 
 
 def cut_series(series: LevelSeries, cut_dn: float | None = None) -> tuple[LevelSeries, tuple[str, ...]]:

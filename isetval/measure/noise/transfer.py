@@ -15,6 +15,7 @@ from isetval.measure.noise.curve import Anchor, CurveFit, Points, Response, fit_
 from isetval.measure.noise.grouping import Groups, group
 from isetval.measure.noise.levels import Level, LevelSeries, cut_series, measure_levels
 from isetval.measure.noise.lyu2022 import single_level_gain
+from isetval.measure.noise.offcurve import chosen, settle
 from isetval.measure.noise.passes import Passes
 from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.reference import DarkLevel, dark_level
@@ -220,19 +221,24 @@ def _default(
 
     choices, known, _ = extra
     anchor = _anchor(reference, series)
-    points, used = series.points(), [level for level in series.levels if level.used]
+    used = [level for level in series.levels if level.used]
     if anchor is None and len(used) < 2:
         return _one_level_without_dark(series, reference, plane, flags, roi)
+
+    def fit_of(part: LevelSeries) -> CurveFit:
+        response = _response([level for level in part.levels if level.used])
+        return fit_curve(part.points(), anchor, response=response, weights=choices.get("weights"))
+
+    series, fit, more = settle(series, fit_of, choices)
+    flags += more
+    points, used = series.points(), [level for level in series.levels if level.used]
     response = _response(used)
-    fit = fit_curve(points, anchor, response=response, weights=choices.get("weights"))
     gain = Quantity(fit.gain, fit.gain_sigma, "DN/e-")
     if not gain.value > 0:
         raise MeasurementError(
             f"plane {plane}: the variance does not rise with the mean (K = {gain}); the frames look clipped, smoothed or not raw"
         )
-    limit = fit.dof + 4 * math.sqrt(2 * max(fit.dof, 1))
-    if fit.chi2 > limit:
-        flags = (*flags, "poor_fit")
+    if "poor_fit" in more:
         gain = Quantity(gain.value, gain.sigma * math.sqrt(fit.chi2 / max(fit.dof, 1)), gain.unit)
     read_dn = _read_noise_dn(fit, reference)
     flags += () if reference is not None else ("read_noise_extrapolated",)
@@ -245,7 +251,7 @@ def _default(
     return PlaneTransfer(
         plane=plane,
         gain_dn_per_e=gain,
-        read_noise_e=_in_electrons(read_dn, gain),
+        read_noise_e=_in_electrons(read_dn, gain, fit.joint),
         read_noise_dn=read_dn,
         prnu=prnu_percent(series, reference, plane, roi, response),
         dsnu_e=_dsnu_e(reference, gain),
@@ -261,7 +267,7 @@ def _default(
         levels=series.levels,
         flags=tuple(dict.fromkeys(flags)),
         fit=fit,
-        choices={"cut_dn": series.cut_dn, "weights": dict(fit.weights)},
+        choices={"cut_dn": series.cut_dn, "weights": dict(fit.weights), "off_curve": chosen(series)},
     )
 
 
@@ -311,10 +317,13 @@ def _read_noise_dn(fit: CurveFit, reference: DarkLevel | None) -> Quantity:
     return Quantity(math.sqrt(value), fit.intercept_sigma / (2 * math.sqrt(value)), "DN")
 
 
-def _in_electrons(noise: Quantity, gain: Quantity) -> Quantity:
+def _in_electrons(noise: Quantity, gain: Quantity, joint: float = 0.0) -> Quantity:
+    """Noise over gain; ``joint`` is the covariance of the variance that the noise comes from with the gain, DN^3/e-."""
     value = noise.value / gain.value
-    sigma = abs(value) * math.hypot(noise.total_sigma / noise.value, gain.sigma / gain.value) if noise.value else NAN
-    return Quantity(value, sigma, "e-")
+    if not noise.value:
+        return Quantity(value, NAN, "e-")
+    square = (noise.total_sigma / noise.value) ** 2 + (gain.sigma / gain.value) ** 2 - joint / (noise.value**2 * gain.value)
+    return Quantity(value, abs(value) * math.sqrt(max(square, 0.0)), "e-")
 
 
 def _dsnu_e(reference: DarkLevel | None, gain: Quantity) -> Quantity:

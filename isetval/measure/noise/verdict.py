@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
 from isetval.measure.noise.codes import code_statistics
+from isetval.measure.noise.focus import BLURRED_PX, edge_width_px
 from isetval.measure.noise.grouping import frame_mean, frame_noise
 from isetval.measure.noise.moments import frame_moments
 from isetval.measure.noise.statistics import check_region
@@ -74,8 +75,9 @@ def quality(captures: Sequence[Capture] | Capture, roi: Roi | None = None) -> Qu
     -------
     Quality
         Looks for: all values equal, repeated frames, clipping at white and at zero, black level against the darkest
-        values, missing codes, bad first or last rows and columns, CFA order (the greens must be alike), drift and
-        flicker among frames of one exposure, and means that are not linear in exposure time (hidden digital gain).
+        values, missing codes, bad first or last rows and columns, CFA order (the greens must be alike), focus (where
+        there are edges), drift and flicker among frames of one exposure, and means that are not linear in exposure
+        time (hidden digital gain).
     """
     frames = [captures] if isinstance(captures, Capture) else list(captures)
     if not frames:
@@ -118,7 +120,19 @@ def _single(capture: Capture, roi: Roi | None, where: str) -> list[Finding]:
         out += _black(capture, plane, view, place)
         out += _edges(view, place)
     out += _greens(planes, capture, where)
+    out += _focus(capture, roi, where)
     return out
+
+
+def _focus(capture: Capture, roi: Roi | None, where: str) -> list[Finding]:
+    """Edges that are all wide: out of focus, or a subject without any sharp edge."""
+    plane = planes_of(capture)[-1 if capture.sensor.cfa == "MONO" else 1]
+    view = plane_view(capture, plane, roi)[0]
+    width = edge_width_px(view[:LARGEST, :LARGEST], plane_black_dn(capture, plane), frame_noise(capture, roi))
+    if not width > BLURRED_PX:
+        return []
+    advice = "focus, or hold still; widths are in pixels of one color plane (no edge sharper than this was found)"
+    return [Finding("out_of_focus", f"{where}, plane {plane}", width, BLURRED_PX, advice)]
 
 
 def _low_clip(place: str, share: float) -> Finding:

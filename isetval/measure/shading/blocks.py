@@ -80,12 +80,15 @@ def _accumulate(frame: Capture, roi: Roi, step: int, size: int) -> _Sums:
     shape = (step, len(row_edges) - 1, len(col_edges) - 1, step)
     total, square, highest = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     row_means, col_means = np.zeros((step, cells[0], step)), np.zeros((step, cells[1], step))
+    masks = np.tile(np.eye(step, dtype=np.float32), (cells[1], 1)) / np.float32(cells[1])
     for index, (top, bottom) in enumerate(itertools.pairwise(row_edges)):
         window = (slice(row0 + step * top, row0 + step * bottom), slice(col0, col0 + step * cells[1]))
         peak = frame.mosaic[window]
         band = peak.astype(np.float32)
         pairs = band.reshape(bottom - top, step, -1)
-        columns = pairs.sum(axis=0, dtype=np.float64).reshape(step, cells[1], step)
+        # whole numbers: exact in float32 up to 2^24, which is 256 rows of 16 bits
+        ones = np.ones(bottom - top, np.float32 if bottom - top <= 256 else np.float64)
+        columns = (ones @ band.reshape(bottom - top, -1)).astype(np.float64).reshape(step, cells[1], step)
         col_means += columns / cells[0]
         difference = pairs[:, :, step:] - pairs[:, :, :-step]
         squares = np.zeros((step, cells[1], step))
@@ -94,8 +97,7 @@ def _accumulate(frame: Capture, roi: Roi, step: int, size: int) -> _Sums:
         square[:, index] = _without_gradient(squares, columns, col_edges, bottom - top)
         peaks = peak.reshape(bottom - top, step, -1).max(axis=0).reshape(step, cells[1], step)
         highest[:, index] = np.maximum.reduceat(peaks, col_edges[:-1], axis=1)
-        for phase in range(step):
-            row_means[:, top:bottom, phase] = pairs[:, :, phase::step].mean(axis=2).T
+        row_means[:, top:bottom] = (band.reshape(-1, step * cells[1]) @ masks).reshape(-1, step, step).swapaxes(0, 1)
     return _Sums(total, square, highest, row_edges, col_edges, row_means, col_means)
 
 

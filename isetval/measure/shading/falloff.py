@@ -24,6 +24,7 @@ from isetval.measure.shading.surface import GEOMETRIES, Points, Surface, block_b
 Float = NDArray[np.float64]
 FIRST_ORDER = 5
 DROP_SIGMAS = 5.0
+FIRST_POINTS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +153,12 @@ def _highest_order(points: Sequence[Points], radius_mm: float) -> int:
     return int(np.clip(min(HIGHEST_ORDER, distinct - 2, np.sqrt(fewest) / 1.5, (fewest - 4) // 3), 1, HIGHEST_ORDER))
 
 
+def _thinned(points: Points) -> Points:
+    """Evenly spread points, enough for a first fit."""
+    every = max(1, points.value.size // FIRST_POINTS)
+    return points.keep(np.arange(points.value.size) % every == 0)
+
+
 def _first_geometry(points: Sequence[Points]) -> str:
     """What the layout can carry: centre and tilt need data on all sides of the middle."""
     x, y = points[0].x_mm, points[0].y_mm
@@ -170,9 +177,10 @@ def fit_blocks(
     kept = [points[p].keep(keep[p]) for p in points]
     richest = Radial("polynomial", _highest_order(kept, radius), radius)
     first = Radial("polynomial", min(FIRST_ORDER, richest.order), radius)
-    surface, name, notes = _settle(kept, radial=first, geometry=geometry)
-    shape = choose_polynomial(kept, chi2_by_order(kept, surface, richest), surface, richest)
-    surface = fit_surface(kept, radial=shape, geometry=name, start=surface.geometry, steps=6)
+    thin = [_thinned(part) for part in kept]
+    surface, name, notes = _settle(thin, radial=first, geometry=geometry)
+    shape = choose_polynomial(thin, chi2_by_order(thin, surface, richest), surface, richest)
+    surface = fit_surface(thin, radial=shape, geometry=name, start=surface.geometry, steps=6)
     for (plane, part), coefficients in zip(points.items(), surface.coefficients, strict=True):
         corrected = part.value - block_bias(part, surface.geometry, coefficients, shape)
         points[plane] = Points(part.x_mm, part.y_mm, part.spread_x_mm2, part.spread_y_mm2, corrected, part.sigma)
@@ -194,7 +202,7 @@ def fit_blocks(
     shorter = None if order is not None else _shorter(kept, final, richest, name)
     common = final if shape is radial else fit_surface(kept, radial=shape, geometry=name, start=surface.geometry, steps=4)
     single = {
-        p: fit_surface([part], radial=shape, geometry=name, start=surface.geometry, steps=3)
+        p: fit_surface([part], radial=shape, geometry=name, start=surface.geometry, steps=2)
         for p, part in zip(points, kept, strict=True)
     }
     if any(b.grid is not None and max(b.row_noise_dn, b.column_noise_dn) > 0 for b in blocks.values()):

@@ -56,7 +56,7 @@ def with_line_noise(surface: Surface, planes: Sequence[Points], noise: Sequence[
 
 def _influence(surface: Surface, points: Points, plane: int) -> Float:
     """Weighted design in the numbering of all parameters, (points, parameters)."""
-    matrix = design(points, surface.geometry, surface.coefficients[plane], surface.radial)
+    matrix = design(points, surface.geometry, surface.coefficients[plane], surface.radial).T
     size = surface.covariance.shape[0]
     out = np.zeros((points.value.size, size))
     used = np.flatnonzero(surface.places[plane] >= 0)

@@ -25,12 +25,12 @@ def chi2_by_order(planes: Sequence[Points], surface: Surface, richest: Radial) -
     for points, coefficients in zip(planes, surface.coefficients, strict=True):
         padded = np.zeros(richest.count)
         padded[: min(len(coefficients), richest.count)] = coefficients[: richest.count]
-        matrix = design(points, surface.geometry, padded, richest)[:, [*geometry, *range(richest.count)]]
+        rows = design(points, surface.geometry, padded, richest)[[*geometry, *range(richest.count)]]
         data = points.value / points.sigma
-        gram = matrix.T @ matrix
+        gram = rows @ rows.T
         scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
         factor = np.linalg.cholesky(gram * np.outer(scale, scale) + 1e-12 * np.eye(len(gram)))
-        part = np.linalg.solve(factor, scale * (matrix.T @ data))
+        part = np.linalg.solve(factor, scale * (rows @ data))
         total += float(data @ data) - np.cumsum(part**2)[len(geometry) :]
     return total
 

@@ -45,15 +45,16 @@ class Radial:
             return basis
         return np.concatenate([basis, mirrored_splines(np.sqrt(r2_mm2) / self.radius_mm, self.order)])
 
-    def slopes(self, r2_mm2: Float) -> Float:
-        """Derivatives of the basis functions by r^2, (count, points), 1/mm^2."""
+    def with_slopes(self, r2_mm2: Float) -> tuple[Float, Float]:
+        """Basis functions at squared radii and their derivatives by r^2 in 1/mm^2, (count, points) each."""
         basis = _legendre(2 * r2_mm2 / self.radius_mm**2 - 1, self.own - 1)
         slope = _legendre_slope(basis) * (2 / self.radius_mm**2)
         if self.kind == "polynomial":
-            return slope
+            return basis, slope
+        values = np.concatenate([basis, mirrored_splines(np.sqrt(r2_mm2) / self.radius_mm, self.order)])
         t = np.sqrt(np.maximum(r2_mm2 / self.radius_mm**2, 1e-10)) * self.order
         per_mm2 = (self.order / self.radius_mm) ** 2
-        return np.concatenate([slope, _scatter(t, self.order, _cubic_slopes) * (per_mm2 / (2 * t[None]))])
+        return values, np.concatenate([slope, _scatter(t, self.order, _cubic_slopes) * (per_mm2 / (2 * t[None]))])
 
     def at_center(self) -> Float:
         """Basis functions at r = 0, (count,)."""
@@ -81,7 +82,9 @@ def _legendre(u: Float, order: int) -> Float:
     if order:
         out[1] = u
     for k in range(1, order):
-        out[k + 1] = ((2 * k + 1) * u * out[k] - k * out[k - 1]) / (k + 1)
+        np.multiply(u, out[k], out=out[k + 1])
+        out[k + 1] *= (2 * k + 1) / (k + 1)
+        out[k + 1] -= k / (k + 1) * out[k - 1]
     return out
 
 

@@ -87,20 +87,24 @@ def block_bias(points: Points, geometry: Float, coefficients: Float, radial: Rad
 
 
 def design(points: Points, geometry: Float, coefficients: Float | None, radial: Radial) -> Float:
-    """Weighted columns (points, count + 4): the basis times the tilt, then derivatives by xc, yc, tx, ty."""
+    """Weighted rows (count + 4, points): the basis times the tilt, then derivatives by xc, yc, tx, ty."""
     dx, dy = points.x_mm - geometry[0], points.y_mm - geometry[1]
     r2 = dx**2 + dy**2
-    tilt = 1 + geometry[2] * dx + geometry[3] * dy
-    basis = radial.values(r2)
-    out = np.zeros((radial.count + 4, points.value.size))
-    out[: radial.count] = basis * tilt
-    if coefficients is not None:
-        curve = coefficients @ basis
-        inner = tilt * (coefficients @ radial.slopes(r2)) * -2
-        out[-4] = inner * dx - geometry[2] * curve
-        out[-3] = inner * dy - geometry[3] * curve
-        out[-2], out[-1] = curve * dx, curve * dy
-    return np.asarray((out / points.sigma).T)
+    weight = 1 / points.sigma
+    tilt = (1 + geometry[2] * dx + geometry[3] * dy) * weight
+    out = np.empty((radial.count + 4, points.value.size))
+    if coefficients is None:
+        np.multiply(radial.values(r2), tilt, out=out[: radial.count])
+        out[radial.count :] = 0.0
+        return out
+    basis, slopes = radial.with_slopes(r2)
+    np.multiply(basis, tilt, out=out[: radial.count])
+    curve = (coefficients @ basis) * weight
+    inner = tilt * (coefficients @ slopes) * -2
+    out[-4] = inner * dx - geometry[2] * curve
+    out[-3] = inner * dy - geometry[3] * curve
+    out[-2], out[-1] = curve * dx, curve * dy
+    return out
 
 
 def parameter_places(planes: int, radial: Radial) -> tuple[tuple[Int, ...], int]:
@@ -138,9 +142,10 @@ def _step(
     for place, points, known in zip(places, planes, coefficients, strict=True):
         columns = np.concatenate([np.flatnonzero(place >= 0), radial.count + np.array(free, dtype=np.intp)])
         index = np.concatenate([place[place >= 0], size + np.array(free, dtype=np.intp)])
-        matrix = design(points, geometry, known, radial)[:, columns]
-        normal[np.ix_(index, index)] += matrix.T @ matrix
-        right[index] += matrix.T @ (points.value / points.sigma)
+        rows = design(points, geometry, known, radial)
+        rows = rows if columns.size == rows.shape[0] else rows[columns]
+        normal[np.ix_(index, index)] += rows @ rows.T
+        right[index] += rows @ (points.value / points.sigma)
     if radial.kind == "spline":
         # the last spline lives on the outermost corner alone: hold its third difference to 0 +- END_SIGMA
         third = np.array([-1.0, 3.0, -3.0, 1.0]) / END_SIGMA

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from noise_camera import NoiseCamera, series
+from scipy.ndimage import gaussian_filter
 
 from isetval.core.capture import Capture
 from isetval.measure import quality
@@ -93,6 +94,20 @@ def test_wrong_cfa_order(camera):
     assert "cfa_order_doubtful" not in quality(right).reasons
     wrong = [Capture.from_array(c.mosaic, cfa="GRBG") for c in right]
     assert "cfa_order_doubtful" in quality(wrong).reasons
+
+
+@pytest.mark.parametrize("cfa", ["RGGB", "MONO"])
+def test_focus_is_judged_by_edges_and_only_where_there_are_some(cfa):
+    rng = np.random.default_rng(82)
+    camera = NoiseCamera(rng, (480, 480), cfa=cfa)
+    step = 2 if cfa == "RGGB" else 1
+    squares = rng.uniform(0.1, 1, (6, 6)).repeat(80, 0).repeat(80, 1)
+    for blur_px, expected in ((0, False), (2, False), (9, True)):
+        shade = gaussian_filter(squares, blur_px * step) if blur_px else squares
+        assert ("out_of_focus" in quality(camera.shoot(3000.0, 1, shade=shade)).reasons) == expected
+    y, x = np.mgrid[-1:1:480j, -1:1:480j]
+    for even in (1.0, 1 - 0.4 * (x**2 + y**2), 1 - 0.8 * (x + 1) / 2):
+        assert "out_of_focus" not in quality(camera.shoot(3000.0, 1, shade=even)).reasons
 
 
 def test_three_broken_among_many_leave_the_set_usable(camera):

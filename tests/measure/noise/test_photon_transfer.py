@@ -249,6 +249,40 @@ def test_the_published_estimator_through_the_front_door():
     assert "read_noise_and_rounding_left_in" in found.flags
 
 
+def test_wild_pixels_of_a_plane_too_large_for_maps():
+    """Defects are looked for in the centre only of such a plane; elsewhere blocks drop what stands out of them."""
+    rng = np.random.default_rng(35)
+    camera = NoiseCamera(rng, (940, 960), cfa="RGGB")
+    captures = series(camera, LEVELS[3::4])
+    rows, cols = rng.integers(0, 940, 500), rng.integers(0, 960, 500)
+    spoiled = []
+    for capture in captures:
+        codes = capture.mosaic.copy()
+        codes[rows, cols] = np.minimum(codes[rows, cols].astype(int) + rng.choice([0, 600], 500), 1000)
+        spoiled.append(Capture.from_array(codes, cfa="RGGB", time_s=capture.exposure.time_s))
+    for plane in photon_transfer(spoiled).values():
+        assert abs(plane.gain_dn_per_e.value - GAIN) < 4 * plane.gain_dn_per_e.sigma
+        assert plane.gain_dn_per_e.sigma < 0.005 * GAIN  # 225 000 pixels: .3 % without defects
+
+
+def test_a_level_off_the_curve_is_named_and_left_out():
+    rng = np.random.default_rng(36)
+    captures = series(NoiseCamera(rng), LEVELS)
+    k = 2 + 2 * 9  # first frame of the tenth level
+    noise = rng.integers(-9, 10, captures[k].mosaic.shape)
+    captures[k] = Capture.from_array(
+        (captures[k].mosaic + noise).astype(np.uint16), cfa="MONO", time_s=captures[k].exposure.time_s
+    )
+    found = photon_transfer(captures)["MONO"]
+    assert "level_off_curve" in found.flags
+    assert "poor_fit" not in found.flags
+    assert [level.reason for level in found.levels].count("off_curve") == 1
+    assert found.levels[9].reason == "off_curve"
+    assert abs(found.gain_dn_per_e.value - GAIN) < 4 * found.gain_dn_per_e.sigma
+    again = photon_transfer(series(NoiseCamera(rng), LEVELS), choices={"MONO": found.choices})["MONO"]
+    assert again.levels[9].reason == "off_curve"
+
+
 def test_words_for_what_cannot_be_done():
     camera = NoiseCamera(np.random.default_rng(33), (32, 32))
     with pytest.raises(MeasurementError, match="two frames"):
