@@ -32,6 +32,7 @@ def transfer_figure(result: PhotonTransfer) -> Figure:
     rest.set(xlabel="mean above black (DN)", ylabel="(variance - fit) / sigma", xscale="log")
     rest.axhspan(-2, 2, color="0.9")
     pattern.set(xlabel="mean above black (DN)", ylabel="fixed pixel pattern (DN)", xscale="log", yscale="log")
+    pattern.xaxis.set_minor_formatter("")
     curve.legend(fontsize="small")
     return figure
 
@@ -44,7 +45,8 @@ def _curve(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
     axis.plot([], [], "o", color=color, label=f"{transfer.plane}: K = {k.value:.4f} $\\pm$ {k.sigma:.4f} DN/e$^-$")
     if transfer.fit is not None:
         mean = np.array([v.mean_dn for v in transfer.levels if v.used])
-        axis.plot(mean, transfer.fit.intercept + k.value * mean, "-", color=color, linewidth=0.8)
+        line = "$V_0 + K m$, bend left out" if transfer.plane in ("R", "MONO") else None
+        axis.plot(mean, transfer.fit.intercept + k.value * mean, "-", color=color, linewidth=0.8, label=line)
 
 
 def _residual(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
