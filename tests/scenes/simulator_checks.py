@@ -317,6 +317,7 @@ def main(groups: list[str], path: Path = STORED) -> int:
             sigma = f" +- {line['sigma']:.2g}" if line["sigma"] else ""
             verdict = "ok    " if line["passed"] else "MISSED"
             print(f"{verdict} {line['check']}: {line['found']:.4g}{sigma}, at most {line['target']:g}", flush=True)
+        known = json.loads(path.read_text())["checks"] if path.is_file() else []  # another run may have written meanwhile
         known = [line for line in known if line["group"] != group] + lines
         command = "python tests/scenes/simulator_checks.py [GROUP...]"
         path.write_text(json.dumps({"command": command, "date": today, "versions": versions, "checks": known}, indent=1) + "\n")

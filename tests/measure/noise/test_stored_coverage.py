@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 STORED = Path(__file__).resolve().parents[3] / "data" / "stored" / "sensor_coverage.json"
-CASES = {"brighter-fatter 2e-6", "ideal"}
+CASES = {"brighter-fatter 2e-6", "ideal", "non-linearity 5 %"}
 
 
 def test_intervals_hold_their_share_in_every_stored_case():
