@@ -108,9 +108,10 @@ class CircularPupil:
         axis = np.linspace(-reach, reach, GRID_FREQUENCIES)
         cols, rows = axis[None, :], axis[:, None]
         change = np.asarray(self.transfer(cols, rows, wavelength_nm) - plain.transfer(cols, rows, wavelength_nm))
-        parts = [RectBivariateSpline(axis, axis, part)(fy, fx, grid=False) for part in (change.real, change.imag) if np.any(part)]
-        total = plain.transfer(fx, fy, wavelength_nm) + sum(parts[:1]) + 1j * sum(parts[1:])
-        return total if self.coma_x_waves or self.coma_y_waves else cast(Float, total.real)
+        real = plain.transfer(fx, fy, wavelength_nm) + RectBivariateSpline(axis, axis, change.real)(fy, fx, grid=False)
+        if not (self.coma_x_waves or self.coma_y_waves):
+            return np.asarray(real)
+        return cast(Float, real + 1j * RectBivariateSpline(axis, axis, change.imag)(fy, fx, grid=False))
 
     def _focus(self, wavelength_nm: Float) -> Float | float:
         if not (self.red_um or self.blue_um):
