@@ -124,13 +124,31 @@ def _sensor(table: Mapping[str, Any], path: Path) -> tuple[Sensor | None, str]:
 
 
 def _sensor_of_files(shots: tuple[Shot, ...], path: Path) -> Sensor:
+    files = [file for shot in shots for file in shot.files]
+    if not files:
+        raise InputError(f"{path}: neither camera nor [sensor] nor any file says what the sensor is; name a camera model")
+    return _first_readable(files, path).sensor
+
+
+def _first_readable(files: Sequence[str], path: Path) -> Capture:
+    """The first capture that can be read: one broken frame does not lose the others.
+
+    Raises
+    ------
+    InputError
+        The first file's reason, if none can be read.
+    """
     from isetval.dng import read_dng
 
-    for shot in shots:
-        if shot.files:
-            first: Capture = read_dng(path.parent / shot.files[0])
-            return first.sensor
-    raise InputError(f"{path}: neither camera nor [sensor] nor any file says what the sensor is; name a camera model")
+    reasons = []
+    for file in files:
+        try:
+            capture: Capture = read_dng(path.parent / file)
+        except InputError as error:
+            reasons.append(error)
+        else:
+            return capture
+    raise reasons[0]
 
 
 def _tables(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]:
@@ -255,10 +273,8 @@ def _sized(shot: Shot, sensor: Sensor, path: Path) -> Shot:
     if window is not None and window[2] > 0:
         pass
     elif shot.files:
-        from isetval.dng import read_dng
-
         origin = window[:2] if window else (0, 0)
-        window = (*origin, *read_dng(path.parent / shot.files[0]).mosaic.shape)
+        window = (*origin, *_first_readable(shot.files, path).mosaic.shape)
     elif window is None:
         window = (0, 0, sensor.rows, sensor.cols)
     else:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.campaigncaptures import forgiving
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, MetricTable
@@ -17,7 +18,7 @@ from isetval.fit import Fit, Problem, fit, make_problem, nuisance_parameters
 from isetval.ladder import LadderRow
 from isetval.measure.campaign import measure_campaign
 from isetval.model import CameraModel
-from isetval.prediction import Point, Predictor
+from isetval.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.shooting import check_sensor
 
 if TYPE_CHECKING:
@@ -39,13 +40,16 @@ class Prepared:
     fits: dict[str, Fit] = field(default_factory=dict)
     problems: dict[str, Problem] = field(default_factory=dict)
 
-    def problem_for(self, model: CameraModel) -> Problem:
-        """The problem of predicting the campaign with ``model``: base and covariance simulated with it."""
+    def problem_for(self, model: CameraModel, *, seeds: tuple[int, ...] = DERIVATIVE_SEEDS) -> Problem:
+        """The problem of predicting the campaign with ``model``: base and covariance simulated with it.
+
+        ``seeds`` of its differences hold when the problem is made here for the first time.
+        """
         key = model.digest()
         if key == self.model.digest():
             return self.problem
         if key not in self.problems:
-            self.problems[key] = make_problem(self.problem.predictor, model)
+            self.problems[key] = make_problem(self.problem.predictor, model, seeds=seeds)
         return self.problems[key]
 
     def fit_nuisances(self, model: CameraModel) -> Fit:
@@ -90,10 +94,27 @@ def prepare(
         raise InputError(f"campaign {campaign.name} has no captures; simulate it, or put the files of its shots beside it")
     check_sensor(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
-    table = table or measure_campaign(campaign, summaries=False)
+    readable, skipped = forgiving(campaign)
+    table = table or measure_campaign(readable, summaries=False)
+    campaign, table = _without_broken(campaign, table, skipped)
     predictor = Predictor(campaign, table, jobs=jobs)
     say(f"simulating the plan with {model.name}")
     return Prepared(model, campaign, table, make_problem(predictor, model))
+
+
+def _without_broken(campaign: Campaign, table: MetricTable, skipped: Sequence[tuple[str, str]]) -> tuple[Campaign, MetricTable]:
+    """The plan of what was measured: broken files are taken out of their shots and listed in the notes."""
+    if not skipped:
+        return campaign, table
+    broken = {file for file, _ in skipped}
+
+    def mended(shot: Shot) -> Shot:
+        files = tuple(file for file in shot.files if file not in broken)
+        return replace(shot, files=files, frames=max(1, len(files)))
+
+    notes = tuple(f"file {file} left out: {reason}" for file, reason in dict(skipped).items())
+    shots = tuple(mended(shot) for shot in campaign.shots)
+    return replace(campaign, shots=shots), replace(table, notes=(*table.notes, *notes))
 
 
 def split_sessions(campaign: Campaign, holdout: Campaign | None) -> tuple[Campaign, Campaign | None]:
@@ -161,7 +182,9 @@ def _set_up_part(problem: Problem, model: CameraModel, local: Float) -> Float:
     free = [f for f in nuisance_parameters(problem.plan, model) if "@set-up:" in f.key]
     if not free:
         return np.zeros((len(local), len(local)))
-    raw = np.linalg.solve(problem.whiten, jacobian(problem, Point(model), free))
+    from scipy.linalg import solve_triangular
+
+    raw = solve_triangular(problem.whiten, jacobian(problem, Point(model), free), lower=True)
     columns = local @ raw * np.array([f.prior or 0.0 for f in free])
     return np.asarray(columns @ columns.T)
 
@@ -185,23 +208,17 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel], *, role: str)
 
 
 def _family_square(problem: Problem, fitted: Fit, mask: NDArray[np.bool_]) -> tuple[float, int]:
+    n = int(mask.sum())
+    if mask.all():
+        weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in fitted.free])
+        gram = fitted.jacobian.T @ fitted.jacobian
+        spent = float(np.trace(np.linalg.pinv(gram + np.diag(weight**2)) @ gram)) if gram.size else 0.0
+        return float(fitted.z @ fitted.z) / max(n - spent, 1.0), n
     rows = problem.keep[mask]
     block = problem.covariance[np.ix_(rows, rows)]
-    residual = fitted.residual[rows]
-    columns = np.linalg.solve(problem.whiten, fitted.jacobian)[mask]
-    weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in fitted.free])
     scale = np.sqrt(np.diag(block))
-    lower = scale[:, None] * np.linalg.cholesky(block / np.outer(scale, scale) + 1e-9 * np.eye(rows.size))
-    from scipy.linalg import solve_triangular
-
-    z = solve_triangular(lower, residual, lower=True)
-    white = solve_triangular(lower, columns, lower=True)
-    spent = 0.0
-    if white.shape[1]:
-        gram = white.T @ white
-        spent = float(np.trace(np.linalg.pinv(gram + np.diag(weight**2)) @ gram)) if mask.all() else 0.0
-    n = int(mask.sum())
-    return float(z @ z) / max(n - spent, 1.0), n
+    z = np.linalg.solve(np.linalg.cholesky(block / np.outer(scale, scale) + 1e-9 * np.eye(n)), fitted.residual[rows] / scale)
+    return float(z @ z) / n, n
 
 
 def _relative_error(problem: Problem, fitted: Fit, mask: NDArray[np.bool_]) -> float:

@@ -156,7 +156,7 @@ def _loop(
         step("2  comparing the nominal camera with the captures of the second session")
         before = comparison_of(held, [nominal])
         step("3  diagnosing on the first session: which effect is missing?")
-        diagnosis = isetval.diagnose(nominal, campaign.session(first), campaign.session(second), jobs=jobs, say=say)
+        diagnosis = isetval.diagnose(nominal, campaign.session(first), held, jobs=jobs, say=say)
         model = _add(nominal, diagnosis, campaign, folder, step)
         step("5  comparing again, on captures that nothing was fitted to")
         after = comparison_of(held, [nominal] if model is nominal else [nominal, model])

@@ -12,7 +12,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
 from isetval.model import CameraModel
-from isetval.prediction import Base, Point, Predictor
+from isetval.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 from isetval.shooting import nuisance_groups
 
 Float = NDArray[np.float64]
@@ -79,6 +79,7 @@ class Problem:
     whiten: Float
     anchor: Float
     covariance: Float
+    seeds: tuple[int, ...] = DERIVATIVE_SEEDS
     columns: dict[tuple[str, str], Float] = field(default_factory=dict)
 
     @property
@@ -88,7 +89,7 @@ class Problem:
 
     def predict(self, points: Sequence[Point]) -> list[Float]:
         """Predictions (metrics,): the base plus differences with common random numbers."""
-        vectors = self.predictor.derivative_vectors(points)
+        vectors = self.predictor.derivative_vectors(points, self.seeds)
         # a row that cannot be measured at a point (a plane that saturates there) keeps its nominal prediction
         return [self.base.mean + np.nan_to_num(vector - self.anchor) for vector in vectors]
 
@@ -97,8 +98,10 @@ class Problem:
         return np.asarray(self.whiten @ vector[self.keep])
 
 
-def make_problem(predictor: Predictor, nominal: CameraModel, *, base: Base | None = None) -> Problem:
-    """Simulate the nominal prediction and weigh it.
+def make_problem(
+    predictor: Predictor, nominal: CameraModel, *, base: Base | None = None, seeds: tuple[int, ...] = DERIVATIVE_SEEDS
+) -> Problem:
+    """Simulate the nominal prediction and weigh it; differences are taken with ``seeds``.
 
     Raises
     ------
@@ -106,7 +109,7 @@ def make_problem(predictor: Predictor, nominal: CameraModel, *, base: Base | Non
         If no measured row can be compared with a prediction.
     """
     base = base or predictor.base(Point(nominal))
-    (anchor,) = predictor.derivative_vectors([Point(nominal)])
+    (anchor,) = predictor.derivative_vectors([Point(nominal)], seeds)
     measured = predictor.table.values
     variance = np.diag(base.covariance)
     usable = (
@@ -122,7 +125,7 @@ def make_problem(predictor: Predictor, nominal: CameraModel, *, base: Base | Non
     keep = np.flatnonzero(usable)
     if keep.size == 0:
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
-    problem = Problem(predictor, nominal, base, measured, keep, np.eye(keep.size), anchor, base.covariance)
+    problem = Problem(predictor, nominal, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds)
     weigh(problem)
     return problem
 
@@ -158,7 +161,7 @@ def _frame_columns(problem: Problem) -> list[Float]:
     step = 0.01
     brighter = replace(plan, shots=tuple(replace(s, light_level=s.light_level * (1 + step)) for s in plan.shots))
     other = Predictor(brighter, predictor.table)
-    (moved,) = other.derivative_vectors([Point(problem.nominal)])
+    (moved,) = other.derivative_vectors([Point(problem.nominal)], problem.seeds)
     slope = (moved - problem.anchor) / step
     out = []
     for shot in predictor.shots:
@@ -206,7 +209,7 @@ def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, tag: str =
         points.append(at(point, [f], [value + up]))
         if _symmetric(f):
             points.append(at(point, [f], [value - up]))
-    vectors = iter(problem.predictor.derivative_vectors(points))
+    vectors = iter(problem.predictor.derivative_vectors(points, problem.seeds))
     here = next(vectors)
     fresh: dict[str, Float] = {}
     for f in wanted:

@@ -38,6 +38,9 @@ DERIVATIVE_SEEDS = (101,)
 # signatures have seeds of their own: what rounding does to a fit must not look like a signature
 SIGNATURE_SEEDS = (201,)
 RANDOM_SEEDS = (201, 202)
+# a specimen's pattern (hot pixels, columns) is one draw: its expectation needs many; darks are cheap
+SPECIMEN_SEEDS = tuple(range(101, 117))
+SEEDS_OF_ROLE = {"dark": 16, "flat": 4}  # at most; 1 for all others
 NOISE_ROLES = ("dark", "flat")  # where noise itself is measured: means elsewhere do not feel it
 BASE_SEED = 7_000
 
@@ -128,38 +131,44 @@ class Predictor:
     ) -> list[Float]:
         """Metrics (metrics,) at each point, mean over ``seeds`` of common random numbers.
 
-        With ``roles``, shots of other roles are not simulated; their rows are nan.
+        Of ``seeds`` each role uses as many as `SEEDS_OF_ROLE` allows.  With ``roles``, shots of other
+        roles are not simulated; their rows are nan.
         """
         shots = [shot for shot in self.shots if roles is None or shot.role in roles]
+        draws = [(shot, seed) for shot in shots for seed in seeds[: SEEDS_OF_ROLE.get(shot.role, 1)]]
         cameras = [camera_with(point.model, self.plan, point.values) for point in points]
         tasks = [
             self._part(camera, shot, point.values, seed, True)
             for point, camera in zip(points, cameras, strict=True)
-            for seed in seeds
-            for shot in shots
+            for shot, seed in draws
         ]
         results = iter(self._vectors(tasks))
+        count = {shot.name: sum(other is shot for other, _ in draws) for shot in shots}
         out = []
         for _ in points:
             total = np.full(len(self.keys), np.nan)
-            for n, _ in enumerate(seeds):
-                for shot in shots:
-                    rows = self.rows[shot.name]
-                    total[rows] = next(results) + (total[rows] if n else 0.0)
-            out.append(total / len(seeds))
+            for shot in shots:
+                total[self.rows[shot.name]] = 0.0
+            for shot, _ in draws:
+                total[self.rows[shot.name]] += next(results) / count[shot.name]
+            out.append(total)
         return out
 
     def base(self, point: Point, replicas: int = REPLICAS) -> Base:
         """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen."""
         tasks = [part for r in range(replicas) for part in self.parts(point, BASE_SEED + r, derivative=False)]
-        vectors = iter(self._vectors(tasks))
+        count = min(COVARIANCE_REPLICAS, replicas)
+        first = tasks[: count * len(self.shots)]
+        blocks = iter(self._run(_blocks_of, first))
+        tables = [MetricTable(tuple(b for _ in self.shots for b in next(blocks))) for _ in range(count)]
+        vectors = iter(self._vectors(tasks[len(first) :]))
         values = np.zeros((replicas, len(self.keys)))
-        for r in range(replicas):
+        for r, table in enumerate(tables):
+            order = self._order(table)
+            values[r] = np.where(order < 0, np.nan, table.values[order])
+        for r in range(count, replicas):
             for shot in self.shots:
                 values[r, self.rows[shot.name]] = next(vectors)
-        count = min(COVARIANCE_REPLICAS, replicas)
-        blocks = iter(self._run(_blocks_of, tasks[: count * len(self.shots)]))
-        tables = [MetricTable(tuple(b for _ in self.shots for b in next(blocks))) for _ in range(count)]
         covariance = np.mean([_ordered(t.covariance(), self._order(t)) for t in tables], axis=0)
         scale = self._scatter(values, covariance)
         factor = np.array([scale[m.family] for m in self.table.metrics])

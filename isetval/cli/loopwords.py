@@ -111,7 +111,9 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
     for effect in result["effects"]:
         lines.append(f"  {effect_words(effect)}")
         also = f"; these captures cannot tell it from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
-        lines.append(f"    posterior {effect['posterior']:.3f}{also}")
+        low, high = effect.get("posterior_range", (effect["posterior"],) * 2)
+        scan = f" ({low:.2f} to {high:.2f} with prior widths 3 times wider or narrower)" if high - low > 0.01 else ""
+        lines.append(f"    posterior {effect['posterior']:.3f}{scan}{also}")
     if result["leftover"]:
         lines.append(f"  left over: {result['leftover']}")
     lines += _candidate_lines(result["candidates"])

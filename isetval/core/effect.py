@@ -115,11 +115,11 @@ class Effect:
         for info in self.parameters():
             value = getattr(self, info.name)
             if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-                raise InputError(f"effect {self.name}: {info.name} is {value!r}; it needs a number in {info.unit}")
+                needed = "a number" if info.unit == "1" else f"a number in {info.unit}"
+                raise InputError(f"effect {self.name}: {info.name} is {value!r}; it needs {needed}")
             if not info.low <= value <= info.high:
-                raise InputError(
-                    f"effect {self.name}: {info.name} is {value:g} {info.unit}; it needs {info.low:g} to {info.high:g}"
-                )
+                unit = "" if info.unit == "1" else f" {info.unit}"
+                raise InputError(f"effect {self.name}: {info.name} is {value:g}{unit}; it needs {info.low:g} to {info.high:g}")
 
     @classmethod
     def parameters(cls) -> tuple[ParameterInfo, ...]:

@@ -23,6 +23,8 @@ def _black_2x2(black_dn: Any) -> Black:
         return ((float(black_dn),) * 2,) * 2
     rows = [list(row) if isinstance(row, Sequence) or hasattr(row, "__iter__") else row for row in black_dn]
     flat = [float(v) for row in rows for v in (row if isinstance(row, list) else [row])]
+    if len(flat) == 1:
+        flat = flat * 4
     if len(flat) != 4:
         raise InputError(f"black_dn has {len(flat)} values; it needs 1 or 4 (2x2, row major)")
     return ((flat[0], flat[1]), (flat[2], flat[3]))

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.comparison import Prepared, ladder_rows, prepare, repeat_gate, split_sessions
+from isetval.comparison import Prepared, prepare, repeat_gate, split_sessions
 from isetval.core.campaign import Campaign
-from isetval.diagnosis.candidates import Candidate, Signature, candidates_for, signatures
-from isetval.diagnosis.evidence import CLOSE_LOG_ODDS, PROBABILITY_CAP, Refit, log_hessian, posteriors, refit, smallest_detectable
-from isetval.diagnosis.nextcaptures import next_captures
-from isetval.diagnosis.profile import Frame, Score, cosine, make_frame, score
-from isetval.diagnosis.result import CandidateRow, Diagnosis, NamedEffect, NamedParameter
-from isetval.diagnosis.templates import Finding, family_excess, findings
-from isetval.fit import Fit, Problem, fit, nuisance_parameters
+from isetval.diagnosis.account import account_of
+from isetval.diagnosis.candidates import Candidate, candidates_for, signatures
+from isetval.diagnosis.case import Case, confirmed, holds, rebase, second_session
+from isetval.diagnosis.evidence import CLOSE_LOG_ODDS, Refit, class_posterior, log_hessian, posteriors, refit, smallest_detectable
+from isetval.diagnosis.profile import Score, cosine, make_frame, score
+from isetval.diagnosis.result import CandidateRow, Diagnosis
+from isetval.diagnosis.templates import Finding, findings
+from isetval.fit import fit, nuisance_parameters
 from isetval.model import CameraModel
 from isetval.prediction import Point
 
@@ -27,33 +28,13 @@ MAX_EFFECTS = 4
 SHORT_LIST = 5
 SAME_RHO = 0.95
 WORTH_A_REFIT = 0.5
-WORTH_ON_HOLDOUT = 0.3
 Say = Callable[[str], None]
-
-
-@dataclass(eq=False)
-class _Case:
-    """The state of one investigation."""
-
-    prepared: Prepared
-    held: Prepared | None
-    problem: Problem
-    fitted: Fit
-    candidates: tuple[Candidate, ...]
-    signatures: dict[str, Signature]
-    frame0: Frame
-    named: list[Refit] = field(default_factory=list)
-    named_posteriors: list[float] = field(default_factory=list)
-    classes: list[tuple[str, ...]] = field(default_factory=list)
-    rivals: list[tuple[str, ...]] = field(default_factory=list)
-    rows: list[CandidateRow] = field(default_factory=list)
-    unobservable: tuple[str, ...] = ()
 
 
 def diagnose(
     model: CameraModel,
     campaign: Campaign,
-    holdout: Campaign | None = None,
+    holdout: Campaign | Prepared | None = None,
     *,
     jobs: int = 1,
     say: Say | None = None,
@@ -67,8 +48,9 @@ def diagnose(
         The nominal model.
     campaign : Campaign
         With captures.  A second measurement session in it is the hold-out unless one is given.
-    holdout : Campaign, optional
-        Captures that nothing is fitted to but their own nuisances.
+    holdout : Campaign or Prepared, optional
+        Captures that nothing is fitted to but their own nuisances; ``Prepared`` (by `comparison.prepare`
+        with the same model) where they are measured already.
     jobs : int
         Worker processes.
     say : callable, optional
@@ -92,19 +74,20 @@ def diagnose(
     catalogue does not hold, and the hold-out confirms.
     """
     say = say or (lambda _: None)
-    used, holdout = split_sessions(campaign, holdout)
+    ready = holdout if isinstance(holdout, Prepared) else None
+    used, other = (campaign, None) if isinstance(holdout, Prepared) else split_sessions(campaign, holdout)
     prepared = prepare(model, used, jobs=jobs, say=say)
     try:
         gate = repeat_gate(prepared)
         if gate["failed"]:
             return _gate_failed(model, gate, prepared)
-        held = prepare(model, holdout, jobs=jobs, say=say) if holdout is not None else None
+        held = prepare(model, other, jobs=jobs, say=say) if other is not None else ready
         try:
             case = _open_case(prepared, model, say, held)
             leftovers = _investigate(case, say)
-            return _report(case, prepared, held, gate, leftovers, say, with_next_captures)
+            return account_of(case, gate, leftovers, alpha=ALPHA, say=say, more=with_next_captures)
         finally:
-            if held is not None:
+            if held is not None and held is not ready:
                 held.close()
     finally:
         prepared.close()
@@ -115,7 +98,7 @@ def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared
     return Diagnosis("gate_failed", (), (), (), (), words, (), gate, model, model, notes=prepared.table.notes)
 
 
-def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> _Case:
+def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Case:
     problem = prepared.problem
     say("fitting the nuisances of the nominal model")
     fitted = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
@@ -123,10 +106,10 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     made = signatures(problem, Point(model), wanted, project=frame.basis[: frame.rows])
-    return _Case(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame)
+    return Case(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame)
 
 
-def _investigate(case: _Case, say: Say) -> list[Finding]:
+def _investigate(case: Case, say: Say) -> list[Finding]:
     """Name effects until none passes; returns the patterns that are left over."""
     for turn in range(MAX_EFFECTS):
         scores = score_all(case)
@@ -144,49 +127,20 @@ def _investigate(case: _Case, say: Say) -> list[Finding]:
         say("refitting " + ", ".join(c.name for c in short))
         refits = [_refit(case, c, scores[c.name]) for c in short]
         refits.sort(key=lambda r: r.log_evidence, reverse=True)
-        if turn and (refits[0].log_evidence < np.log(19.0 * len(tested)) or not _holds(case, refits[0], say)):
+        p = _corrected(scores[refits[0].candidate.name], len(tested))
+        if not (holds(case, refits[0], len(tested), say) if turn else confirmed(case, refits[0], p, len(tested), say)):
             break
         _name(case, refits, len(tested), turn)
         say(f"named {refits[0].candidate.name}")
-        _rebase(case, say)
-    return findings(case.problem, make_frame(case.fitted), alpha=ALPHA)
+        rebase(case, say)
+    return findings(case.problem, make_frame(case.fitted), alpha=ALPHA, second=second_session(case))
 
 
-def _holds(case: _Case, found: Refit, say: Say) -> bool:
-    """Whether a further effect also helps on captures that it was not fitted to (True without any)."""
-    if case.held is None:
-        return True
-    before = _named_model(case, case.named, case.fitted)
-    after = _named_model(case, [*case.named, found], found.fitted)
-    gain = case.held.chi2(before, weights=before) - case.held.chi2(after, weights=before)
-    say(f"{found.candidate.name}: chi2 of the hold-out falls by {gain:.1f}, here by {found.dchi2:.1f}")
-    return bool(gain > WORTH_ON_HOLDOUT * found.dchi2)
-
-
-def _rebase(case: _Case, say: Say) -> None:
-    """Predict and weigh anew at the model found so far: variances grow with the effect."""
-    model = _named_model(case, case.named, case.fitted)
-    say("simulating the plan with the effects named so far")
-    problem = case.prepared.problem_for(model)
-    problem.columns.update(case.problem.columns)
-    case.fitted = fit(problem, Point(model, case.fitted.point.values), case.fitted.free)
-    case.problem = problem
-
-
-def _named_model(case: _Case, named: Sequence[Refit], fitted: Fit) -> CameraModel:
-    """The nominal model with effects at the values of a fit."""
-    model = case.prepared.model
-    for found in named:
-        values = {key.split(".")[1]: fitted.value(key)[0] for key in found.candidate.keys}
-        model = model.with_effect(found.candidate.effect.changed(**values))
-    return model
-
-
-def _names(case: _Case) -> list[str]:
+def _names(case: Case) -> list[str]:
     return [r.candidate.name for r in case.named]
 
 
-def score_all(case: _Case) -> dict[str, Score]:
+def score_all(case: Case) -> dict[str, Score]:
     """The profiled score of every candidate at the present fit."""
     out = {}
     plain = make_frame(case.fitted)
@@ -227,18 +181,18 @@ def _row(candidate: Candidate, found: Score, tests: int, observable: bool) -> Ca
     )
 
 
-def _refit(case: _Case, candidate: Candidate, found: Score) -> Refit:
+def _refit(case: Case, candidate: Candidate, found: Score) -> Refit:
     return refit(
         case.problem,
         case.fitted,
         candidate,
         signature=case.signatures[candidate.name],
-        estimate=np.where(np.isfinite(found.sigma), found.estimate, 0.0),
+        found=found,
         null_hessian=log_hessian(case.fitted),
     )
 
 
-def _name(case: _Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
+def _name(case: Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
     best = refits[0]
     chances = posteriors([r.log_evidence for r in refits], tests)
     frame = make_frame(case.fitted)
@@ -253,9 +207,8 @@ def _name(case: _Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
     case.classes.append(tuple(dict.fromkeys([*rivals, *close])))
     case.rivals.append(rivals)
     case.named.append(best)
-    case.named_posteriors.append(
-        float(min(sum(chances[[0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]]), PROBABILITY_CAP))
-    )
+    members = [0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]
+    case.named_posteriors.append(class_posterior(refits, members, tests))
     if turn == 0:
         by_name = {r.candidate.name: (r.log_evidence, float(p)) for r, p in zip(refits, chances, strict=True)}
         case.rows = [
@@ -263,96 +216,3 @@ def _name(case: _Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
             for row in case.rows
         ]
     case.fitted = best.fitted
-
-
-def _report(
-    case: _Case,
-    prepared: Prepared,
-    held: Prepared | None,
-    gate: Mapping[str, Any],
-    leftovers: list[Finding],
-    say: Say,
-    more: bool,
-) -> Diagnosis:
-    nominal = prepared.model
-    model, effects = _model_with(case)
-    excess = family_excess(case.problem, case.fitted.residual, alpha=ALPHA)
-    words = [f.words for f in leftovers] + excess
-    say("drawing the ladder")
-    models = [nominal] if model is nominal else [nominal, model]
-    ladder = tuple(ladder_rows(prepared, models, role="calibration"))
-    confirm: dict[str, Any] = {}
-    if held is not None:
-        ladder += tuple(ladder_rows(held, models, role="prediction"))
-        confirm = _confirm(held, models)
-    if more and case.named:
-        say("searching captures that tell the closest candidates apart")
-    captures = tuple(next_captures(case.problem, case.fitted, _pairs(case))) if more and case.named else ()
-    return Diagnosis(
-        verdict=_verdict(case, leftovers, excess, confirm),
-        effects=tuple(effects),
-        candidates=tuple(sorted(case.rows, key=lambda row: row.p_corrected)),
-        unobservable=case.unobservable,
-        next_captures=captures,
-        leftover="; ".join(words) or None,
-        ladder=ladder,
-        gate=gate,
-        nominal=nominal,
-        model=model,
-        notes=prepared.table.notes,
-        holdout_gain=confirm,
-        settings={"alpha": ALPHA, "replicas": case.problem.base.replicas, "metrics": int(case.problem.keep.size)},
-    )
-
-
-def _pairs(case: _Case) -> list[tuple[Signature, Signature]]:
-    """The named effects against what is closest to them."""
-    frame = case.frame0
-    white = {name: case.problem.whitened(s.columns) for name, s in case.signatures.items()}
-    out = []
-    for best, others in zip(case.named, case.classes, strict=True):
-        name = best.candidate.name
-        rated = sorted(
-            ((cosine(frame, white[name], white[o]), o) for o in white if o != name and o not in case.unobservable), reverse=True
-        )
-        wanted = list(dict.fromkeys([*others, *(o for rho, o in rated[:2] if rho > 0.5)]))
-        out += [(case.signatures[name], case.signatures[o]) for o in wanted[:3]]
-    return out
-
-
-def _model_with(case: _Case) -> tuple[CameraModel, list[NamedEffect]]:
-    """The nominal model with the named effects at their fitted values, and their description."""
-    model, effects = case.prepared.model, []
-    for best, chance, others in zip(case.named, case.named_posteriors, case.classes, strict=True):
-        candidate = best.candidate
-        values = {key: case.fitted.value(key) for key in candidate.keys}
-        effect = candidate.effect.changed(**{key.split(".")[1]: v for key, (v, _) in values.items()})
-        effect = effect.changed(
-            source="isetval diagnose", fitted_to=tuple(sorted({m.family for m in case.problem.predictor.table.metrics}))
-        )
-        model = model.with_effect(effect)
-        parameters = {
-            p.name: NamedParameter(*values[key], p.unit, float(nominal))
-            for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
-        }
-        effects.append(NamedEffect(candidate.name, parameters, chance, others, effect, candidate.present, best.dchi2))
-    if effects:
-        model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
-    return model, effects
-
-
-def _confirm(held: Prepared, models: Sequence[CameraModel]) -> dict[str, Any]:
-    """chi2 of the hold-out under each model with the nominal weights, its own nuisances refitted, the effects frozen."""
-    costs = [held.chi2(m, weights=models[0]) for m in models]
-    return {"chi2": costs, "gain": costs[0] - costs[-1], "metrics": int(held.problem.keep.size)}
-
-
-def _verdict(case: _Case, leftovers: Sequence[Finding], excess: Sequence[str], confirm: Mapping[str, Any]) -> str:
-    left = bool(leftovers or excess)
-    if not case.named:
-        return "unexplained" if left else "consistent"
-    if confirm and confirm["gain"] <= 0:
-        return "unexplained" if left else "partial"
-    if left:
-        return "partial"
-    return "ambiguous" if any(case.rivals) else "attributed"

@@ -30,11 +30,15 @@ class NamedParameter:
 
 @dataclass(frozen=True, eq=False)
 class NamedEffect:
-    """An effect that the data ask for, with those that would explain them as well."""
+    """An effect that the data ask for, with those that would explain them as well.
+
+    ``posterior`` is of the class; ``posterior_range`` for prior widths three times narrower to wider.
+    """
 
     name: str
     parameters: Mapping[str, NamedParameter]
     posterior: float
+    posterior_range: tuple[float, float]
     equivalent: tuple[str, ...]
     effect: Effect
     present: bool
@@ -119,6 +123,7 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
             for name, p in effect.parameters.items()
         },
         "posterior": effect.posterior,
+        "posterior_range": list(effect.posterior_range),
         "equivalent": list(effect.equivalent),
         "present_in_model": effect.present,
         "dchi2": effect.dchi2,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
-from isetval.diagnosis.profile import Frame, Score, score
+from isetval.diagnosis.profile import Frame
 from isetval.fit import Problem
 
 Float = NDArray[np.float64]
@@ -36,6 +36,8 @@ GROUPS = {
     "region": "region",
 }
 MAX_PER_GROUP = 40
+SURE = 1e-6
+ALLOWED = 1.1**2  # in the variance of a family
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,7 @@ class Finding:
     """A pattern that stands out of the residual."""
 
     words: str
-    score: Score
+    gain: float
     p_corrected: float
 
 
@@ -103,45 +105,89 @@ def _groups(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], b
                 )
 
 
-def findings(problem: Problem, frame: Frame, *, alpha: float = 0.01, limit: int = 5) -> list[Finding]:
-    """Patterns whose profiled score survives the look-elsewhere correction, strongest first."""
+@dataclass(frozen=True, eq=False)
+class Second:
+    """Captures of a second measurement session under the same model: what is left there too."""
+
+    problem: Problem
+    frame: Frame
+    residual: Float
+
+
+def _scored(problem: Problem, frame: Frame) -> dict[str, tuple[float, float]]:
+    """Templates by their words: profiled projection of the residual on each, and its squared length."""
     metrics = problem.predictor.table.metrics
     sigma = np.sqrt(np.diag(problem.base.covariance))
-    columns, words = [], []
+    columns: dict[str, Float] = {}
     for template in templates(metrics, problem.base.mean, sigma):
         white = problem.whitened(np.nan_to_num(template.values))
         if np.linalg.norm(white) > 0:
-            columns.append(white)
-            words.append(template.words)
+            columns.setdefault(template.words, white)
     if not columns:
-        return []
-    part = frame.profiled(np.column_stack(columns))
-    size = np.linalg.norm(part, axis=0)
-    gain = np.where(size > 1e-6, (part.T @ frame.z) / np.maximum(size, 1e-12), 0.0) ** 2
+        return {}
+    part = frame.profiled(np.column_stack(list(columns.values())))
+    along, square = part.T @ frame.z, np.sum(part**2, axis=0)
+    return {words: (float(a), float(s)) for words, a, s in zip(columns, along, square, strict=True) if s > 1e-12}
+
+
+def findings(
+    problem: Problem, frame: Frame, *, alpha: float = 0.01, limit: int = 5, second: Second | None = None
+) -> list[Finding]:
+    """Patterns whose profiled score survives the look-elsewhere correction, strongest first.
+
+    With ``second``, the pattern at its amplitude here must not be denied there: its gain on both together
+    has to pass the same threshold, unless it is beyond doubt here (p below `SURE`).
+    """
     from scipy.stats import chi2
 
-    out = []
-    for i in np.argsort(gain)[::-1][:limit]:
-        p = min(1.0, float(chi2.sf(gain[i], 1)) * len(columns))
-        if p < alpha:
-            out.append(Finding(words[i], score(frame, columns[i][:, None]), p))
+    scored = _scored(problem, frame)
+    there = _scored(second.problem, second.frame) if second is not None else {}
+    out: list[Finding] = []
+    for words, (along, square) in sorted(scored.items(), key=lambda item: -(item[1][0] ** 2) / item[1][1]):
+        gain, amplitude = along**2 / square, along / square
+        p = min(1.0, float(chi2.sf(gain, 1)) * len(scored))
+        if p >= alpha or len(out) == limit:
+            break
+        if words in there and p > SURE:
+            other, length = there[words]
+            both = gain + 2 * amplitude * other - amplitude**2 * length
+            if chi2.sf(max(both, 0.0), 1) * len(scored) >= alpha:
+                continue
+        out.append(Finding(words, gain, p))
     return out
 
 
-def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01) -> list[str]:
-    """Families whose residual scatters more than its covariance, after allowing 10 % in sigma."""
+def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01, second: Second | None = None) -> list[str]:
+    """Families whose residual scatters more than its covariance, after allowing 10 % in sigma.
+
+    With ``second``, both sessions together must show it, unless it is beyond doubt here.
+    """
     from scipy.stats import chi2
 
+    here = _family_squares(problem, residual)
+    there = _family_squares(second.problem, second.residual) if second is not None else {}
+    out = []
+    for family, (square, n) in here.items():
+        p = float(chi2.sf(square / ALLOWED, n)) * len(here)
+        if p >= alpha:
+            continue
+        more, m = there.get(family, (0.0, 0))
+        if m and p > SURE and chi2.sf((square + more) / ALLOWED, n + m) * len(here) >= alpha:
+            continue
+        out.append(f"{family} scatters {np.sqrt(square / n):.2f} times as much as its sigma says ({n} values)")
+    return out
+
+
+def _family_squares(problem: Problem, residual: Float) -> dict[str, tuple[float, int]]:
+    """Mean-square sum of whitened residuals and number of rows per family."""
     metrics = problem.predictor.table.metrics
     families = np.array([metrics[i].family for i in problem.keep])
-    names = list(dict.fromkeys(families))
-    out = []
-    for family in names:
+    out: dict[str, tuple[float, int]] = {}
+    for family in dict.fromkeys(families):
         rows = problem.keep[families == family]
         block = problem.covariance[np.ix_(rows, rows)]
         scale = np.sqrt(np.diag(block))
         r = residual[rows] / scale
-        square, n = float(r @ np.linalg.solve(block / np.outer(scale, scale) + 1e-9 * np.eye(rows.size), r)), rows.size
-        if chi2.sf(square / 1.21, n) * len(names) < alpha:
-            out.append(f"{family} scatters {np.sqrt(square / n):.2f} times as much as its sigma says ({n} values)")
+        square = float(r @ np.linalg.solve(block / np.outer(scale, scale) + 1e-9 * np.eye(rows.size), r))
+        out[str(family)] = (square, rows.size)
     return out

@@ -178,6 +178,9 @@ class ShotNoise(Effect):
 class BrighterFatter(Effect):
     """Charge that repels charge: electrons move from fuller to emptier neighbours, none are lost.
 
+    The border between two pixels shifts into the fuller one in proportion to the difference of their
+    charges; the strip that changes its owner carries the photocharge of that place.  On one channel that
+    is the mean of both pixels, on a colour mosaic the strip lies under the fuller pixel's own filter.
     Variance falls below Poisson and neighbours are positively correlated, both in proportion to the
     square of the level; each of the four neighbours takes a quarter.  Acts on the mosaic, behind
     shot_noise and before full_well; edges at two levels show it too.
@@ -189,8 +192,10 @@ class BrighterFatter(Effect):
     gives = "electron"
     order = 35.0
     halo_px = 1
-    equation = "Q + (A/16) sum_nb (Q_nb^2 - Q^2): Var = mu (1 - A mu), Cov(nearest) = + A mu^2 / 4"
-    reference = "Antilogus et al., JINST 9 (2014) C03048; Astier et al., A&A 629 (2019) A36"
+    equation = (
+        "Q + (A/8) sum_nb (Q_nb - Q) F, F = (Q_nb + Q)/2, on a mosaic max: Var = mu (1 - A mu), Cov(nearest) = + A mu^2 / 4"
+    )
+    reference = "Antilogus et al., JINST 9 (2014) C03048, eq. 2 (border shift times flux); Astier et al., A&A 629 (2019) A36"
     must_not_change = ("dark",)
 
     a_per_e: float = parameter(0.0, unit="1/e-", low=0.0, high=2e-4, tau=2e-6, doc="relative loss A of variance per electron")
@@ -200,15 +205,23 @@ class BrighterFatter(Effect):
         if not self.a_per_e:
             return signal
         values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
-        square = values * values
-        square *= self.a_per_e / 16
-        for axis in (1, 2):
-            flow = np.diff(square, axis=axis)
+        mosaic = context.sensor.cfa != "MONO"
+        # half of the charge is there, on average, while the rest arrives: the shift is (A/4) of the difference / 2
+        flows = [self.a_per_e / 8 * _moved(values, axis, donor=mosaic) for axis in (1, 2)]
+        for axis, flow in zip((1, 2), flows, strict=True):
             low, high = [slice(None)] * 3, [slice(None)] * 3
             low[axis], high[axis] = slice(None, -1), slice(1, None)
             values[tuple(low)] += flow
             values[tuple(high)] -= flow
         return signal.with_values(values)
+
+
+def _moved(charge: Array, axis: int, *, donor: bool) -> Array:
+    """(Q_high - Q_low) F along an axis, F the fuller pixel's charge (``donor``) or the mean of both."""
+    low = np.take(charge, range(charge.shape[axis] - 1), axis)
+    high = np.take(charge, range(1, charge.shape[axis]), axis)
+    flux = np.maximum(low, high) if donor else (low + high) / 2
+    return np.asarray((high - low) * flux)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from isetval.core.signal import Signal
 
 Float = NDArray[np.float64]
 REFERENCE_NM = 550.0
+MANY_FREQUENCIES, GRID_FREQUENCIES = 20_000, 129
 RED_NM, GREEN_NM, BLUE_NM = 610.0, 540.0, 460.0
 """Wavelengths at which the axial colour of the red, green and blue channel is stated."""
 
@@ -81,6 +82,8 @@ class CircularPupil:
         phase = np.asarray(np.pi * self._focus(wavelength_nm) * frequency / self.f_number)
         if not self._aberrated():
             return _defocused(separation, phase)
+        if separation.size > MANY_FREQUENCIES and np.ndim(wavelength_nm) == 0:
+            return self._interpolated(fx, fy, wavelength_nm)
         shear = 2 * np.pi * frequency * self.f_number * REFERENCE_NM * 1e-3
         turn = np.arctan2(fy, fx)
         cos2, sin2 = np.cos(2 * turn), np.sin(2 * turn)
@@ -91,6 +94,24 @@ class CircularPupil:
         aside = self.coma_y_waves * np.cos(turn) - self.coma_x_waves * np.sin(turn)
         out = _aberrated(separation, phase, across, shear * self.spherical_waves, shear * along, shear * aside)
         return out if self.coma_x_waves or self.coma_y_waves else cast(Float, out.real)
+
+    def _interpolated(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        """The transfer function of a picture's many frequencies from a grid of few.
+
+        What the aberrations change is smooth and confined to a few pixels; the cone of diffraction at
+        zero frequency, which makes the far tail, is not interpolated.
+        """
+        from scipy.interpolate import RectBivariateSpline
+
+        plain = replace(self, **{field.name: 0.0 for field in fields(self) if field.name.endswith("_waves")})
+        reach = max(0.5, float(np.abs(fx).max()), float(np.abs(fy).max()))
+        axis = np.linspace(-reach, reach, GRID_FREQUENCIES)
+        cols, rows = axis[None, :], axis[:, None]
+        change = np.asarray(self.transfer(cols, rows, wavelength_nm) - plain.transfer(cols, rows, wavelength_nm))
+        real = plain.transfer(fx, fy, wavelength_nm) + RectBivariateSpline(axis, axis, change.real)(fy, fx, grid=False)
+        if not (self.coma_x_waves or self.coma_y_waves):
+            return np.asarray(real)
+        return cast(Float, real + 1j * RectBivariateSpline(axis, axis, change.imag)(fy, fx, grid=False))
 
     def _focus(self, wavelength_nm: Float) -> Float | float:
         if not (self.red_um or self.blue_um):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,14 @@ PICTURE_NODE_NM = 120.0
 TOLERANCE = 1e-4
 KEEP = 12
 _BLURRED: OrderedDict[bytes, Float] = OrderedDict()
+_LABELLED: OrderedDict[bytes, SpectralPicture] = OrderedDict()
+
+
+def _keep(cache: OrderedDict[bytes, Any], key: bytes, value: Any) -> None:
+    """Enter a value; the oldest leaves."""
+    while len(cache) >= KEEP:
+        cache.popitem(last=False)
+    cache[key] = value
 
 
 def wavelength_nodes(wavelength_nm: Float, *, apart_nm: float = EDGE_NODE_NM) -> tuple[Float, Float]:
@@ -58,9 +67,17 @@ class SpectralPicture:
     @classmethod
     def of_labels(cls, label: NDArray[np.intp], spectra: Float, halo: int) -> SpectralPicture:
         """A picture of uniform regions: ``label`` (rows, cols) picks a column of ``spectra`` (bands, labels)."""
-        u, s, vt = np.linalg.svd(spectra, full_matrices=False)
-        rank = max(1, int(np.sum(s > TOLERANCE * s[0])))
-        return cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo)
+        key = hashlib.sha256(repr((label.shape, spectra.shape, halo)).encode() + label.tobytes() + spectra.tobytes()).digest()
+        if key not in _LABELLED:
+            u, s, vt = np.linalg.svd(spectra, full_matrices=False)
+            rank = max(1, int(np.sum(s > TOLERANCE * s[0])))
+            _keep(_LABELLED, key, cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo))
+        return _LABELLED[key]
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Of the parts: computed once, they are tens of megabytes."""
+        return hashlib.sha256(self.parts.tobytes()).digest()
 
     def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
         """The blurred picture times ``amplitude``, (bands, rows, cols)."""
@@ -77,14 +94,12 @@ class SpectralPicture:
     def _remembered(self, transfer: Transfer, nodes: Float, inside: slice) -> Float:
         probe = np.linspace(-0.5, 0.5, 23)
         samples = [np.asarray(transfer(probe[:, None], probe[None, ::2], np.array(node))) for node in nodes[[0, -1]]]
-        digest = hashlib.sha256(self.parts.tobytes())
+        digest = hashlib.sha256(self.digest)
         for sample in samples:
             digest.update(np.round(np.asarray(sample, complex), 12).tobytes())
         key = digest.digest()
         if key not in _BLURRED:
-            while len(_BLURRED) >= KEEP:
-                _BLURRED.popitem(last=False)
-            _BLURRED[key] = self._blurred(transfer, nodes, inside)
+            _keep(_BLURRED, key, self._blurred(transfer, nodes, inside))
         _BLURRED.move_to_end(key)
         return _BLURRED[key]
 

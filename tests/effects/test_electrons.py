@@ -1,5 +1,7 @@
 """Charge: means, variances and covariances against their formulas, in sigmas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,6 +100,34 @@ def test_brighter_fatter_moves_variance_into_neighbour_covariance(place, charge)
     first = a * mean**2 / 4 * (1 - a * mean / 2)
     assert np.mean(covariance) == pytest.approx(first, abs=5 * mean / np.sqrt(2 * n))
     assert abs(np.mean(diagonal)) < 5 * mean / np.sqrt(n)
+
+
+def test_brighter_fatter_on_a_mosaic_moves_what_lies_under_the_fuller_pixels_filter(place, charge):
+    # borders shift by (A/4) of the charge difference so far, i.e. on average half of the final one; the strip
+    # lies under the fuller pixel's filter: a green pixel of a flat loses (A/8) (G - X) G to each neighbour
+    a, red, green, blue = 1e-6, 2400.0, 4000.0, 1000.0
+    effect = BrighterFatter(a_per_e=a)
+    values = np.empty((1, 256, 256))
+    values[0, 0::2, 0::2], values[0, 1::2, 1::2] = red, blue
+    values[0, 0::2, 1::2] = values[0, 1::2, 0::2] = green
+    context = place(effect)  # window on even rows and columns of an RGGB sensor
+    out = effect.apply(Signal.of(values, "electron"), context).values[0]
+    to_red, to_blue = a / 8 * (green - red) * green, a / 8 * (green - blue) * green
+    assert out[100, 100] == pytest.approx(red + 4 * to_red, rel=1e-12)
+    assert out[101, 101] == pytest.approx(blue + 4 * to_blue, rel=1e-12)
+    assert out[100, 101] == pytest.approx(green - 2 * to_red - 2 * to_blue, rel=1e-12)
+
+
+def test_brighter_fatter_of_one_channel_moves_the_mean_of_both_pixels(place):
+    a, dark, bright = 1e-6, 1000.0, 3000.0
+    effect = BrighterFatter(a_per_e=a)
+    values = np.full((1, 256, 256), dark)
+    values[0, :, 128:] = bright
+    context = place(effect)
+    mono = replace(context, sensor=replace(context.sensor, cfa="MONO", black_dn=((64,),)))
+    out = effect.apply(Signal.of(values, "electron"), mono).values[0]
+    moved = a / 8 * (bright - dark) * (bright + dark) / 2
+    np.testing.assert_allclose(out[50, 126:130], [dark, dark + moved, bright - moved, bright], rtol=1e-12)
 
 
 def test_full_well_clips(place):

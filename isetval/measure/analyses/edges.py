@@ -14,7 +14,7 @@ from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
 from isetval.core.metric import Block, Metric
 from isetval.measure.conditions import metric, shot_conditions
-from isetval.measure.edge import SfrResult, sfr
+from isetval.measure.edge import SfrResult, sfr_batch
 
 ROLES = ("edge",)
 FREQUENCY_CY_PX = np.arange(0.05, 0.5001, 0.05)
@@ -42,11 +42,13 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     reasons: list[str] = []
     for channel in channels:
         known = choices.get(channel)
-        results = [sfr(capture, roi, "G" if channel == "MONO" else channel, choices=known) for capture in captures[:1]]
+        plane = "G" if channel == "MONO" else channel
+        first = len(captures) if known else 1  # without choices the first frame makes them for the others
+        results = sfr_batch(captures[:first], [roi] * first, plane, choices=known)
         if results[0].accepted:
             known = known or dict(results[0].choices)
-            more = [sfr(c, roi, "G" if channel == "MONO" else channel, choices=known) for c in captures[1:]]
-            results += [r for r in more if r.accepted]
+            rest = captures[first:]
+            results = [r for r in (*results, *sfr_batch(rest, [roi] * len(rest), plane, choices=known)) if r.accepted]
         if not results[0].accepted:
             reasons.append(f"{channel}: {', '.join(results[0].messages.values()) or ', '.join(results[0].flags)}")
             continue

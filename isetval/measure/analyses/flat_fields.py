@@ -29,7 +29,10 @@ QUANTITIES = {
     "gradient_row_dn": ("gradient", "DN"),
     "gradient_column_dn": ("gradient", "DN"),
 }
-COUNTS = {"outlier_fraction": "outliers", "noisy_pixel_fraction": "noisy_pixels"}
+COUNTS = {"outlier_fraction": ("outliers", 0.85), "noisy_pixel_fraction": ("noisy_pixels", 0.5)}
+"""Counts of pixels, and the share of their variance that all counts of a window have in common: a hot
+pixel that stands out at 0.5 s does so at 2 s too (nested Poisson counts: correlation sqrt(n1 / n2)) and is
+noisy as well; noisy pixels are partly chance."""
 
 
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
@@ -80,7 +83,9 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
             )
         links.append((plane, here, there))
         if clipped <= TOUCHED:
-            rows += _counts(shot, conditions, plane, plane_statistics)
+            for row, common in _counts(shot, conditions, plane, plane_statistics):
+                shared.setdefault(f"{shot.role}:defects:{plane}:{window_label(shot)}", []).append((len(rows), common))
+                rows.append(row)
     correlation = np.eye(len(rows))
     for plane, here, there in links:
         correlation[np.ix_(here, here)] = statistics[plane].correlation[np.ix_(there, there)]
@@ -122,12 +127,17 @@ def _mean(parts: Sequence[Quantity]) -> Quantity:
     return Quantity(sum(part.value for part in parts) / n if parts else math.nan, sigma, "DN^2")
 
 
-def _counts(shot: Shot, conditions: dict[str, Any], plane: str, statistics: PlaneStatistics) -> list[Metric]:
-    """Numbers of outlying and of noisy pixels, as ``2 sqrt(n + 3/8)``: near-Gaussian with sigma 1 (Anscombe)."""
+def _counts(shot: Shot, conditions: dict[str, Any], plane: str, statistics: PlaneStatistics) -> list[tuple[Metric, float]]:
+    """Numbers of outlying and of noisy pixels with the shared part of sigma.
+
+    Given as ``2 sqrt(n + 3/8)``: near-Gaussian with a total sigma of 1 (Anscombe).
+    """
     rows = []
-    for key, name in COUNTS.items():
+    for key, (name, common) in COUNTS.items():
         fraction = statistics[key].value
         if math.isfinite(fraction):
             root = 2 * math.sqrt(fraction * statistics.pixels + 0.375)
-            rows.append(metric(conditions, name, root, 1.0, "2 sqrt(count + 3/8)", channel=plane, family=f"{shot.role}_{name}"))
+            own, family = math.sqrt(1 - common), f"{shot.role}_{name}"
+            row = metric(conditions, name, root, own, "2 sqrt(count + 3/8)", channel=plane, family=family)
+            rows.append((row, math.sqrt(common)))
     return rows
