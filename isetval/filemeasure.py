@@ -230,16 +230,17 @@ def chart_rows(capture: Capture) -> tuple[list[Metric], list[str]]:
 
 def edge_rows(capture: Capture) -> tuple[list[Metric], list[str]]:
     """MTF50 and angle of every slanted edge that is found, for each channel; rejected regions with their reason."""
-    from isetval.measure import find_edges, sfr
+    from isetval.measure import find_edges, sfr_batch
 
     found = find_edges(capture)
     rows: list[Metric] = []
     notes = [f"{len(found)} edges accepted, {len(found.rejected)} rejected"]
-    for edge in found:
-        roi = tuple(edge)
-        label = ",".join(map(str, roi))
-        for channel in ("R", "G", "B") if capture.sensor.cfa != "MONO" else ("G",):
-            result = sfr(capture, roi, channel)
+    channels = ("R", "G", "B") if capture.sensor.cfa != "MONO" else ("G",)
+    results = {channel: sfr_batch(capture, [tuple(edge) for edge in found], channel) for channel in channels}
+    for number, edge in enumerate(found):
+        label = ",".join(map(str, edge))
+        for channel in channels:
+            result = results[channel][number]
             if not result.accepted:
                 notes.append(f"edge at {label}, channel {channel}: {', '.join(result.flags)}")
                 continue

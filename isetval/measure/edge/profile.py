@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.capture import Capture, Roi, field_mm
 from isetval.core.errors import InputError, MeasurementError
-from isetval.measure.edge.analysis import sfr
+from isetval.measure.edge.analysis import sfr, sfr_batch
 from isetval.measure.edge.detect import find_edges
 from isetval.measure.edge.result import SfrResult
 
@@ -111,8 +111,7 @@ def lens_profile(
     points: list[FieldPoint] = []
     refused: list[SfrResult] = []
     for capture, regions in zip(many, lists, strict=True):
-        for roi in regions:
-            result = sfr(capture, roi, channel)
+        for result in sfr_batch(capture, regions, channel):
             if result.flags or not np.isfinite(result.mtf50_cy_px):
                 refused.append(result)
             else:
@@ -188,7 +187,7 @@ def through_focus(
     names = ("MONO",) if captures[0].sensor.cfa == "MONO" else tuple(channels)
     out = {}
     for channel in names:
-        results = [sfr(capture, roi, channel) for capture in captures]
+        results = sfr_batch(captures, [roi] * len(captures), channel)
         value = np.array([r.mtf_at([frequency_cy_px])[0] if not r.flags else np.nan for r in results])
         sigma = np.array([r.mtf_covariance([frequency_cy_px])[0, 0] ** 0.5 if not r.flags else np.nan for r in results])
         out[channel] = FocusCurve(channel, place, value, sigma, *_parabola_top(place, value, sigma))
