@@ -14,6 +14,7 @@ _NAMES = {
     "quality": "isetval.measure.noise",
     "relative_illumination": "isetval.measure.shading",
     "sfr": "isetval.measure.edge",
+    "sfr_batch": "isetval.measure.edge",
     "spectral_qe": "isetval.measure.color",
     "uniform_patches": "isetval.measure.noise",
 }
