@@ -84,6 +84,6 @@ def _film_cosines(view: LensView, r_mm: float, wavelength_nm: float) -> Float:
     """Semi-axes (diagonal 2 x 2) of the beam's rim in direction cosines on the film, in the meridian's frame."""
     middle, rho, angle = rim(view.lens, np.array([r_mm]), film_mm=view.film_mm, wavelength_nm=wavelength_nm)
     z = view.lens.table(wavelength_nm).region.plane_distance_mm + view.lens.film_offset_mm(view.film_mm)
-    slope = np.stack([rho[0] * np.cos(angle), middle[0] + rho[0] * np.sin(angle) - r_mm]) / z
+    slope = np.stack([rho[0] * np.cos(angle[0]), middle[0] + rho[0] * np.sin(angle[0]) - r_mm]) / z
     cosine = slope / np.sqrt(1 + (slope**2).sum(axis=0))
     return np.diag(np.ptp(cosine, axis=1) / 2)
