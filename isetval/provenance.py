@@ -16,12 +16,12 @@ from isetval.core.errors import InputError
 _NAMED = ("numpy", "scipy", "pandas", "rawpy", "opencv-contrib-python-headless", "mitsuba")
 METRIC_VERSIONS = {
     "chart": 1,
-    "dark": 1,
-    "find_edges": 1,
-    "flat_fields": 1,
-    "photon_transfer": 1,
-    "relative_illumination": 1,
-    "sfr": 1,
+    "dark": 2,
+    "find_edges": 2,
+    "flat_fields": 2,
+    "photon_transfer": 2,
+    "relative_illumination": 2,
+    "sfr": 2,
     "uniform_patches": 1,
 }
 """A changed number is a changed metric version, and a line in CHANGELOG.md."""
