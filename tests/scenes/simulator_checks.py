@@ -241,7 +241,8 @@ def check_budget() -> list[Entry]:
         samples, n = made.settings["tiles"][0]["spp"], crop[2] * crop[3]
         relative2 = float(np.mean(np.var(found, axis=0, ddof=1)) / np.mean(found) ** 2) * samples
         chart_scale = WHITE_E / float(np.mean(found)) if not out else chart_scale
-        electrons = np.array([chart_scale * float(np.mean(found))]) if electrons is None else electrons
+        # a wall brighter than the chart's white saturates: its patches count at exposures where it does not
+        electrons = np.array([min(chart_scale * float(np.mean(found)), WHITE_E)]) if electrons is None else electrons
         wanted = 100 * relative2 * electrons**2 / (electrons + READ_E**2 + (PRNU * electrons) ** 2)
         spp, rate = float(np.mean(wanted)), n * samples / spent
         took = pixels * spp / rate / 2 / 60
