@@ -10,7 +10,7 @@ Weights come from the fitted variance itself (2 V^2 / dof), not from the scatter
 
 The fits are averaged by their evidence.  A straight curve is taken as one whose c is small: c ~ N(0, SMALL_BEND_PER_E^2),
 the size that charge repulsion has in silicon (Astier et al. 2019 and others: 1e-6 to 3e-6 per electron); a bent one has c
-up to WIDE_BEND / (electrons at the top).  So a quadratic term enters as far as the data demand it, a small one
+up to WIDE_BEND / (electrons at full scale).  So a quadratic term enters as far as the data demand it, a small one
 is neither ignored nor fitted at full price, and the sigma covers that choice.
 """
 
@@ -133,6 +133,7 @@ def fit_curve(
     points: Points,
     anchor: Anchor | None,
     *,
+    full_scale_dn: float = 0.0,
     response: Response | None = None,
     weights: Mapping[str, float] | None = None,
 ) -> CurveFit:
@@ -144,6 +145,8 @@ def fit_curve(
         Levels below saturation.
     anchor : Anchor or None
         Dark variance; without it the intercept is free.
+    full_scale_dn : float
+        White less black: a series of low levels cannot bend as a whole range may.  0: the highest level.
     response : Response, optional
         Enables the straightened models.
     weights : mapping, optional
@@ -151,7 +154,7 @@ def fit_curve(
     """
     wanted = None if weights is None else {n for n, w in weights.items() if w > 1e-4}
     fits = {f.name: f for f in _candidates(points, anchor, response, wanted)}
-    members = _members(fits, float(points.mean_dn.max()))
+    members = _members(fits, max(full_scale_dn, float(points.mean_dn.max())))
     if weights is None:
         best = min(score for _, score in members.values())
         raw = {n: math.exp(-(score - best) / 2) for n, (_, score) in members.items()}

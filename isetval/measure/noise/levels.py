@@ -57,10 +57,11 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class LevelSeries:
-    """Levels of one plane in order of rising mean; ``cut_dn`` is the highest mean in use."""
+    """Levels of one plane in order of rising mean; ``cut_dn`` is the highest mean in use, ``range_dn`` white less black."""
 
     levels: tuple[Level, ...]
     black_dn: Quantity
+    range_dn: float
     cut_dn: float = math.inf
 
     def points(self) -> Points:
@@ -106,7 +107,8 @@ def measure_levels(
         return _level(flats[i], plane, roi, black.value, own, passes, left_out)
 
     levels = [measure(i) for i in range(len(flats))]
-    return LevelSeries(tuple(sorted(levels, key=lambda level: level.mean_dn)), black)
+    range_dn = flats[0][0].sensor.white_dn - black.value
+    return LevelSeries(tuple(sorted(levels, key=lambda level: level.mean_dn)), black, range_dn)
 
 
 def with_pattern(level: Level, plane: str, roi: Roi | None, black_dn: float) -> Level:
@@ -212,14 +214,14 @@ def cut_series(series: LevelSeries, cut_dn: float | None = None) -> tuple[LevelS
     """
     if cut_dn is not None:
         marked = [_reject(level, "above_given_cut") if level.mean_dn > cut_dn * (1 + 1e-9) else level for level in series.levels]
-        return LevelSeries(tuple(marked), series.black_dn, cut_dn), ()
+        return replace(series, levels=tuple(marked), cut_dn=cut_dn), ()
     levels = [_clipping(level, series.levels) for level in series.levels]
     levels = _knee(levels)
     used = [level for level in levels if level.used]
     flags = () if len(used) == len(levels) else ("saturated_levels_left_out",)
     if any(level.reason == "clipped_at_zero" for level in levels):
         flags = (*flags, "clipped_at_zero")
-    return LevelSeries(tuple(levels), series.black_dn, used[-1].mean_dn if used else math.nan), flags
+    return replace(series, levels=tuple(levels), cut_dn=used[-1].mean_dn if used else math.nan), flags
 
 
 def _reject(level: Level, reason: str) -> Level:

@@ -227,7 +227,8 @@ def _default(
 
     def fit_of(part: LevelSeries) -> CurveFit:
         response = _response([level for level in part.levels if level.used])
-        return fit_curve(part.points(), anchor, response=response, weights=choices.get("weights"))
+        full = part.range_dn
+        return fit_curve(part.points(), anchor, full_scale_dn=full, response=response, weights=choices.get("weights"))
 
     series, fit, more = settle(series, fit_of, choices)
     flags += more

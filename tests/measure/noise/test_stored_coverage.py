@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 STORED = Path(__file__).resolve().parents[3] / "data" / "stored" / "sensor_coverage.json"
-CASES = {"brighter-fatter 2e-6", "ideal", "non-linearity 5 %"}
+CASES = {"brighter-fatter 2e-6", "drift 1 %", "ideal", "low light, 2 to 200 e-", "non-linearity 5 %", "rolling flicker 1 %"}
 
 
 def test_intervals_hold_their_share_in_every_stored_case():
