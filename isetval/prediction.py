@@ -43,6 +43,7 @@ SPECIMEN_SEEDS = tuple(range(101, 113))
 SEEDS_OF_ROLE = {"dark": 12, "flat": 2}  # at most; 1 for all others
 NOISE_ROLES = ("dark", "flat")  # where noise itself is measured: means elsewhere do not feel it
 BASE_SEED = 7_000
+FLOOR = 0.15  # eigenvalues of a correlation matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +191,11 @@ class Predictor:
         return np.array([place.get(key, -1) for key in self.keys])
 
     def _scatter(self, values: Float, covariance: Float) -> dict[str, float]:
-        """Ratio of the replicas' scatter to the stated covariance per family (whitened), drawn towards 1 by 40 numbers."""
+        """Ratio of the replicas' scatter to the stated covariance per family (whitened), drawn towards 1 by 40 numbers.
+
+        Directions below `FLOOR` do not count: there the covariance holds more than the estimator's own noise on purpose
+        (`isetval.measure.analyses.edges.ROUGHNESS`), and scatters that are smaller would shrink all the others.
+        """
         families = np.array([m.family for m in self.table.metrics])
         variance = np.diag(covariance)
         good = np.isfinite(variance) & (variance > 0) & np.isfinite(values).all(axis=0)
@@ -201,11 +206,12 @@ class Predictor:
                 out[str(family)] = 1.0
                 continue
             rows = np.flatnonzero((families == family) & good)
-            scale = np.sqrt(variance[rows])
-            block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale) + 1e-6 * np.eye(rows.size)
-            part = (residual[:, rows] / scale).T
-            square = float(np.sum(part * np.linalg.solve(block, part))) if rows.size else 0.0
-            out[str(family)] = float(np.sqrt((square + 40) / (rows.size * (len(values) - 1) + 40)))
+            sigma = np.sqrt(variance[rows])
+            size, along = np.linalg.eigh(covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma))
+            seen = size > FLOOR
+            part = along[:, seen].T @ (residual[:, rows] / sigma).T
+            square = float(np.sum(part**2 / size[seen, None]))
+            out[str(family)] = float(np.sqrt((square + 40) / (seen.sum() * (len(values) - 1) + 40)))
         return out
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:

@@ -57,6 +57,7 @@ class Rts(Effect):
     acts_on = "electron"
     gives = "electron"
     random = "frame"
+    sparse = True
     order = 48.0
     equation = "N +- amplitude x (exponential number of mean 1) / 2 for a fraction of the pixels"
     reference = "Wang, Rao, Mierop & Theuwissen, IEDM 2006 (random telegraph signal in CMOS image sensor pixels)"
