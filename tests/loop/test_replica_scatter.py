@@ -1,0 +1,36 @@
+"""The factor between the scatter of simulated campaigns and the stated covariance."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from isetval.core.metric import Metric
+from isetval.prediction import Predictor
+
+ROWS, REPLICAS = 200, 40
+FREQUENCIES = 10
+
+
+def factor(values, covariance, family="mtf"):
+    metrics = [Metric("m", 0.5, 0.01, "1", family=family)] * len(covariance)
+    return Predictor._scatter(SimpleNamespace(table=SimpleNamespace(metrics=metrics)), values, covariance)[family]
+
+
+@pytest.mark.parametrize("true", [0.7, 1.0, 2.0])
+def test_independent_rows_give_the_ratio_of_their_sigmas(true):
+    values = true * np.random.default_rng(3).standard_normal((REPLICAS, ROWS))
+    assert factor(values, np.eye(ROWS)) == pytest.approx(true, abs=5 * true / np.sqrt(2 * ROWS * REPLICAS) + 0.01)
+
+
+def test_smooth_curves_with_a_rough_allowance_keep_their_sigma():
+    # an edge's MTF at 10 frequencies moves in 3 directions only; the covariance allows a tenth for roughness on top
+    rng = np.random.default_rng(4)
+    shape = np.linalg.qr(rng.standard_normal((FREQUENCIES, 3)))[0]
+    smooth = shape @ np.diag([5.0, 3.0, 2.0]) @ shape.T
+    smooth /= np.sqrt(np.outer(np.diag(smooth), np.diag(smooth)))
+    edges = ROWS // FREQUENCIES
+    stated = np.kron(np.eye(edges), 0.9 * smooth + 0.1 * np.eye(FREQUENCIES))
+    root = np.linalg.cholesky(smooth + 1e-12 * np.eye(FREQUENCIES))
+    values = (rng.standard_normal((REPLICAS, edges, FREQUENCIES)) @ root.T).reshape(REPLICAS, ROWS)
+    assert factor(values, stated) == pytest.approx(1.0, abs=0.06)  # .6 where the allowance counts as measured
