@@ -136,8 +136,8 @@ def update_lines(
 
 def _best_order(chi2: Float, n: Index, most: Index, floor: Float) -> Index:
     """Orders of the least Bayesian information; one above 1 must win by 2.  ``chi2`` (regions, 6) is that of orders 0, 1, ..."""
-    count = n[:, None]
-    score = count * np.log((chi2 + floor[:, None]) / count) + 1.5 * np.log(count) * np.arange(1, ORDERS + 1)
+    count = np.maximum(n, 1)[:, None]  # no row: no order is allowed below
+    score = count * np.log(np.maximum(chi2 + floor[:, None], 1e-300) / count) + 1.5 * np.log(count) * np.arange(1, ORDERS + 1)
     score[:, 2:] += 2.0
     score[np.arange(ORDERS) > most[:, None]] = np.inf
     return np.asarray(score[:, 1:].argmin(axis=1) + 1)
