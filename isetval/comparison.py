@@ -14,11 +14,12 @@ from isetval.campaigncaptures import forgiving
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, MetricTable
-from isetval.fit import Fit, Problem, fit, make_problem, nuisance_parameters
+from isetval.fit import Fit, far_values, fit, nuisance_parameters
 from isetval.ladder import LadderRow
 from isetval.measure.campaign import measure_campaign
 from isetval.model import CameraModel
 from isetval.prediction import DERIVATIVE_SEEDS, Point, Predictor
+from isetval.problem import Problem, make_problem
 from isetval.shooting import check_sensor
 
 if TYPE_CHECKING:
@@ -40,17 +41,32 @@ class Prepared:
     fits: dict[str, Fit] = field(default_factory=dict)
     problems: dict[str, Problem] = field(default_factory=dict)
 
-    def problem_for(self, model: CameraModel, *, seeds: tuple[int, ...] = DERIVATIVE_SEEDS) -> Problem:
+    def problem_for(
+        self, model: CameraModel, *, seeds: tuple[int, ...] = DERIVATIVE_SEEDS, values: Mapping[str, float] | None = None
+    ) -> Problem:
         """The problem of predicting the campaign with ``model``: base and covariance simulated with it.
 
-        ``seeds`` of its differences hold when the problem is made here for the first time.
+        ``seeds`` of its differences hold when the problem is made here for the first time; ``values``
+        are focus errors so far from zero that predictions must be made there.
         """
-        key = model.digest()
+        key = model.digest() + (repr(sorted(values.items())) if values else "")
         if key == self.model.digest():
             return self.problem
         if key not in self.problems:
-            self.problems[key] = make_problem(self.problem.predictor, model, seeds=seeds)
+            self.problems[key] = make_problem(self.problem.predictor, Point(model, values or {}), seeds=seeds)
         return self.problems[key]
+
+    def settled(self, model: CameraModel) -> tuple[Problem, Fit]:
+        """The problem and its nuisance fit; simulated anew where the focus lies far from zero.
+
+        Noise and bias of an edge depend on focus: weights made at another focus judge wrongly, and may have
+        driven the other nuisances away, which start at zero again.
+        """
+        problem, fitted = self.problem_for(model), self.fit_nuisances(model)
+        if values := far_values(fitted):
+            problem = self.problem_for(model, values=values)
+            fitted = fit(problem, Point(model, values), fitted.free)
+        return problem, fitted
 
     def fit_nuisances(self, model: CameraModel) -> Fit:
         """The fit in which only the campaign's nuisances are free."""
@@ -65,7 +81,7 @@ class Prepared:
 
         Two models are compared with the same weights: their difference is then free of Monte-Carlo noise.
         """
-        problem = self.problem_for(weights)
+        problem, _ = self.settled(weights)
         return fit(problem, Point(model), nuisance_parameters(problem.plan, model)).chi2
 
     def close(self) -> None:
@@ -99,7 +115,7 @@ def prepare(
     campaign, table = _without_broken(campaign, table, skipped)
     predictor = Predictor(campaign, table, jobs=jobs)
     say(f"simulating the plan with {model.name}")
-    return Prepared(model, campaign, table, make_problem(predictor, model))
+    return Prepared(model, campaign, table, make_problem(predictor, Point(model)))
 
 
 def _without_broken(campaign: Campaign, table: MetricTable, skipped: Sequence[tuple[str, str]]) -> tuple[Campaign, MetricTable]:

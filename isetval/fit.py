@@ -1,23 +1,25 @@
-"""Fitting nuisances and effect parameters: whitened residuals, priors, damped Gauss-Newton."""
+"""Fitting nuisances and effect parameters: whitened residuals, priors, Gauss-Newton in a trust region."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
-from isetval.core.metric import MetricTable
 from isetval.model import CameraModel
-from isetval.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
+from isetval.prediction import Point
+from isetval.problem import Column, Problem
 from isetval.shooting import nuisance_groups
 
 Float = NDArray[np.float64]
-SYMMETRIC = ("focus_um", "edge_shift_px", "edge_angle_deg")
-MAX_ITERATIONS = 6
+CURVED = ("focus_um", "edge_shift_px", "edge_angle_deg")
+MAX_ITERATIONS, MAX_FAILURES = 20, 2
+RADIUS = 4.0  # prior sigmas
+STALE, FAR = 1.0, 3.0
 CONVERGED = 0.02
 
 
@@ -67,112 +69,6 @@ class Fit:
         return float(self.values[i]), float(np.sqrt(self.covariance[i, i]))
 
 
-@dataclass(eq=False)
-class Problem:
-    """A measured campaign, what a nominal model predicts for it, and the weights of the difference."""
-
-    predictor: Predictor
-    nominal: CameraModel
-    base: Base
-    measured: Float
-    keep: NDArray[np.intp]
-    whiten: Float
-    anchor: Float
-    covariance: Float
-    seeds: tuple[int, ...] = DERIVATIVE_SEEDS
-    columns: dict[tuple[str, str], Float] = field(default_factory=dict)
-
-    @property
-    def plan(self) -> Campaign:
-        """The plan behind the measured campaign."""
-        return self.predictor.plan
-
-    def predict(self, points: Sequence[Point]) -> list[Float]:
-        """Predictions (metrics,): the base plus differences with common random numbers."""
-        vectors = self.predictor.derivative_vectors(points, self.seeds)
-        # a row that cannot be measured at a point (a plane that saturates there) keeps its nominal prediction
-        return [self.base.mean + np.nan_to_num(vector - self.anchor) for vector in vectors]
-
-    def whitened(self, vector: Float) -> Float:
-        """L^-1 of the kept rows of ``vector``, (metrics,) or (metrics, k)."""
-        return np.asarray(self.whiten @ vector[self.keep])
-
-
-def make_problem(
-    predictor: Predictor, nominal: CameraModel, *, base: Base | None = None, seeds: tuple[int, ...] = DERIVATIVE_SEEDS
-) -> Problem:
-    """Simulate the nominal prediction and weigh it; differences are taken with ``seeds``.
-
-    Raises
-    ------
-    InputError
-        If no measured row can be compared with a prediction.
-    """
-    base = base or predictor.base(Point(nominal))
-    (anchor,) = predictor.derivative_vectors([Point(nominal)], seeds)
-    measured = predictor.table.values
-    variance = np.diag(base.covariance)
-    usable = (
-        ~_empty_counts(predictor.table, measured, base)
-        & np.isfinite(measured)
-        & np.isfinite(base.mean)
-        & np.isfinite(anchor)
-        & np.isfinite(variance)
-        & (variance > 0)
-    )
-    # what is only rounding is no measurement
-    usable &= variance > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
-    keep = np.flatnonzero(usable)
-    if keep.size == 0:
-        raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
-    problem = Problem(predictor, nominal, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds)
-    weigh(problem)
-    return problem
-
-
-def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np.bool_]:
-    """Rows that count outliers where neither side has any: they hold no information and are not normal."""
-    counts = np.array([m.unit.startswith("2 sqrt(count") for m in table.metrics])
-    nothing = 2 * np.sqrt(0.375) + 1e-9
-    return np.asarray(counts & (measured <= nothing) & (base.values.max(axis=0) <= nothing))
-
-
-def weigh(problem: Problem) -> None:
-    """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
-    keep = problem.keep
-    covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
-    for column in _frame_columns(problem):
-        covariance = covariance + np.outer(column, column)
-    problem.covariance = covariance
-    covariance = covariance[np.ix_(keep, keep)]
-    scale = np.sqrt(np.diag(covariance))
-    lower = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-9 * np.eye(keep.size))
-    from scipy.linalg import solve_triangular
-
-    problem.whiten = np.asarray(solve_triangular(lower, np.diag(1 / scale), lower=True))
-
-
-def _frame_columns(problem: Problem) -> list[Float]:
-    """Columns of light that flickers from frame to frame: one random number per shot, sigma / sqrt(frames)."""
-    plan, predictor = problem.plan, problem.predictor
-    priors = [n for n in plan.nuisances if n.scope == "frame" and n.parameter == "light_level"]
-    if not priors:
-        return []
-    step = 0.01
-    brighter = replace(plan, shots=tuple(replace(s, light_level=s.light_level * (1 + step)) for s in plan.shots))
-    other = Predictor(brighter, predictor.table)
-    (moved,) = other.derivative_vectors([Point(problem.nominal)], problem.seeds)
-    slope = (moved - problem.anchor) / step
-    out = []
-    for shot in predictor.shots:
-        sigma = np.sqrt(sum(n.sigma**2 for n in priors if n.applies_to(shot)) / shot.frames)
-        if sigma:
-            column = np.zeros_like(slope)
-            column[predictor.rows[shot.name]] = sigma * slope[predictor.rows[shot.name]]
-            out.append(column)
-    return out
-
-
 def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Free, ...]:
     """The campaign's nuisances as free parameters; ``without`` names camera parameters that lose theirs."""
     out = []
@@ -196,42 +92,70 @@ def at(point: Point, free: Sequence[Free], values: Sequence[float]) -> Point:
     return Point(model, nuisances)
 
 
-def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, tag: str = "") -> Float:
+def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, stale: float = STALE) -> Float:
     """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
 
-    Columns of nuisances are remembered by ``tag`` (they hardly move with the point).
+    Columns of nuisances are remembered, and taken again where the problem bends: when one of `CURVED`
+    that shares rows with them has moved by more than ``stale`` of its prior sigmas.
     """
-    wanted = [f for f in free if not (f.is_nuisance and (tag, f.key) in problem.columns)]
+    moved = _moved(problem, point, free, stale)
+    wanted = [f for f in free if not f.is_nuisance or f.key not in problem.columns or f.key in moved]
+    raw = dict(zip((f.key for f in wanted), _slopes(problem, point, wanted), strict=True))
+    here = {f.key: point.values.get(f.key, 0.0) for f in free if f.is_nuisance}
+    problem.columns.update({f.key: Column(raw[f.key], here) for f in wanted if f.is_nuisance})
+    if not free:
+        return np.zeros((problem.keep.size, 0))
+    return problem.whitened(np.column_stack([raw[f.key] if f.key in raw else problem.columns[f.key].slope for f in free]))
+
+
+def _moved(problem: Problem, point: Point, free: Sequence[Free], stale: float) -> set[str]:
+    """Nuisances whose remembered column no longer holds at a point."""
+    known = [(f.key, problem.columns[f.key]) for f in free if f.key in problem.columns]
+    curved = [f for f in free if f.key in problem.columns and _curved(f)]
+    rows = {key: column.slope != 0 for key, column in known}
+    out = set()
+    for key, column in known:
+        for f in curved:
+            distance = abs(point.values.get(f.key, 0.0) - column.taken_at.get(f.key, 0.0))
+            if distance > stale * (f.prior or f.step) and (f.key == key or np.any(rows[f.key] & rows[key])):
+                out.add(key)
+                break
+    return out
+
+
+def far_values(fitted: Fit) -> dict[str, float]:
+    """Focus errors that a fit moved by more than `FAR` of their prior's sigmas."""
+    focus = [f for f in fitted.free if f.key.startswith("focus_um@")]
+    return {f.key: fitted.value(f.key)[0] for f in focus if abs(fitted.value(f.key)[0]) > FAR * (f.prior or f.step)}
+
+
+def _slopes(problem: Problem, point: Point, wanted: Sequence[Free]) -> list[Float]:
+    """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends."""
     points: list[Point] = [point]
+    steps = []
     for f in wanted:
         value = point.values.get(f.key, 0.0) if f.is_nuisance else point.model.value(f.key)
         up = f.step if value + f.step <= f.high else -f.step
+        steps.append(up)
         points.append(at(point, [f], [value + up]))
-        if _symmetric(f):
+        if _curved(f):
             points.append(at(point, [f], [value - up]))
     vectors = iter(problem.predictor.derivative_vectors(points, problem.seeds))
     here = next(vectors)
-    fresh: dict[str, Float] = {}
-    for f in wanted:
-        value = point.values.get(f.key, 0.0) if f.is_nuisance else point.model.value(f.key)
-        up = f.step if value + f.step <= f.high else -f.step
+    out = []
+    for f, up in zip(wanted, steps, strict=True):
         ahead = next(vectors)
-        column = (ahead - next(vectors)) / (2 * up) if _symmetric(f) else (ahead - here) / up
-        fresh[f.key] = column = np.nan_to_num(column)
-        if f.is_nuisance:
-            problem.columns[(tag, f.key)] = fresh[f.key]
-    if not free:
-        return np.zeros((problem.keep.size, 0))
-    raw = [fresh[f.key] if f.key in fresh else problem.columns[(tag, f.key)] for f in free]
-    return problem.whitened(np.column_stack(raw))
+        slope = (ahead - next(vectors)) / (2 * up) if _curved(f) else (ahead - here) / up
+        out.append(np.nan_to_num(slope))
+    return out
 
 
-def _symmetric(f: Free) -> bool:
-    return f.is_nuisance and f.key.split("@")[0] in SYMMETRIC
+def _curved(f: Free) -> bool:
+    return f.is_nuisance and f.key.split("@")[0] in CURVED
 
 
-def fit(problem: Problem, start: Point, free: Sequence[Free], *, tag: str = "", jacobian_again: bool = True) -> Fit:
-    """Maximum a posteriori values of ``free`` by damped Gauss-Newton with re-simulated predictions.
+def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
+    """Maximum a posteriori values of ``free`` by Gauss-Newton steps in a trust region, with re-simulated predictions.
 
     Parameters
     ----------
@@ -239,70 +163,100 @@ def fit(problem: Problem, start: Point, free: Sequence[Free], *, tag: str = "", 
     start : Point
         Parameters start at the point's own values.
     free : sequence of Free
-    tag : str
-        Under which the derivatives by nuisances are remembered.
-    jacobian_again : bool
-        Recompute derivatives by effect parameters after each step (they may be strongly curved).
+
+    Notes
+    -----
+    Levenberg-Marquardt as a trust region of so many prior sigmas (More 1978): edges bend with focus, so
+    that a full step from far away would answer with shifts and turns of many sigmas, and stay there.
     """
     free = tuple(free)
-    values = np.array([start.values.get(f.key, f.center) if f.is_nuisance else start.model.value(f.key) for f in free])
-    weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in free])
-    center = np.array([f.center for f in free])
-    point = at(start, free, list(values))
-    (prediction,) = problem.predict([point])
-    z = problem.whitened(problem.measured - prediction)
-    cost = _cost(z, values, weight, center)
-    matrix = jacobian(problem, point, free, tag=tag)
-    converged = not free
+    state = _State.at(problem, start, free)
+    matrix = jacobian(problem, state.point(start, free), free)
+    radius, converged, failures = RADIUS, not free, 0
     for _ in range(MAX_ITERATIONS if free else 0):
-        step = _step(matrix, z, weight, values - center)
-        moved, new, new_z, new_prediction = _descend(problem, start, free, values, step, cost, weight, center)
-        gain = cost - moved
-        if gain > 0:
-            values, cost, z, prediction = new, moved, new_z, new_prediction
-        if gain < CONVERGED:
+        step, promised, length = _step(matrix, state, radius)
+        moved = state.moved(problem, start, free, step)
+        kept = (state.cost - moved.cost) / max(promised, 1e-300)
+        if promised < CONVERGED or abs(state.cost - moved.cost) < CONVERGED:
+            state = moved if moved.cost < state.cost else state
             converged = True
             break
-        point = at(start, free, list(values))
-        if jacobian_again and any(not f.is_nuisance for f in free):
-            matrix = jacobian(problem, point, free, tag=tag)
-    point = at(start, free, list(values))
-    hessian = matrix.T @ matrix + np.diag(weight**2)
+        if moved.cost < state.cost:
+            state, failures = moved, 0
+            radius = length / 2 if kept < 0.25 else max(radius, 2 * length) if kept > 0.75 else radius
+            matrix = jacobian(problem, state.point(start, free), free)
+        else:
+            failures += 1
+            if failures > MAX_FAILURES:
+                break
+            radius = length / 6
+            matrix = jacobian(problem, state.point(start, free), free, stale=0.0)
+    hessian = matrix.T @ matrix + np.diag(state.weight**2)
     covariance: Float = np.asarray(np.linalg.pinv(hessian)) if free else np.zeros((0, 0))
-    residual = problem.measured - prediction
-    return Fit(point, free, values, covariance, prediction, residual, z, matrix, float(cost), converged)
+    residual = problem.measured - state.prediction
+    point = state.point(start, free)
+    return Fit(point, free, state.values, covariance, state.prediction, residual, state.z, matrix, state.cost, converged)
 
 
-def _cost(z: Float, values: Float, weight: Float, center: Float) -> float:
-    pulls = weight * (values - center)
-    return float(z @ z + pulls @ pulls)
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where a fit stands; ``weight`` are one over the priors' sigmas (0: none), ``unit`` what a long step is measured in."""
 
+    values: Float
+    weight: Float
+    unit: Float
+    center: Float
+    prediction: Float
+    z: Float
+    cost: float
 
-def _step(matrix: Float, z: Float, weight: Float, offset: Float) -> Float:
-    stacked = np.vstack([matrix, np.diag(weight)])
-    target = np.concatenate([z, -weight * offset])
-    return np.asarray(np.linalg.lstsq(stacked, target, rcond=1e-10)[0])
+    @classmethod
+    def at(cls, problem: Problem, start: Point, free: tuple[Free, ...]) -> _State:
+        values = np.array([start.values.get(f.key, f.center) if f.is_nuisance else start.model.value(f.key) for f in free])
+        weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in free])
+        nothing = np.zeros(0)
+        unit = np.array([f.prior or f.step for f in free])
+        empty = cls(values, weight, unit, np.array([f.center for f in free]), nothing, nothing, np.inf)
+        found = empty.moved(problem, start, free, np.zeros(len(free)))
+        if not np.isfinite(found.cost):
+            raise InputError("the fit starts where nothing can be simulated; check the priors of the campaign's nuisances")
+        return found
 
+    def point(self, start: Point, free: tuple[Free, ...]) -> Point:
+        return at(start, free, list(self.values))
 
-def _descend(
-    problem: Problem, start: Point, free: tuple[Free, ...], values: Float, step: Float, cost: float, weight: Float, center: Float
-) -> tuple[float, Float, Float, Float]:
-    """The step, halved until the cost falls (at most four times)."""
-    low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
-    best: tuple[float, Float, Float, Float] | None = None
-    for _ in range(4):
-        new = np.clip(values + step, low, high)
-        (prediction,) = problem.predict([at(start, free, list(new))])
-        if not np.all(np.isfinite(prediction[problem.keep])):
-            step = step / 2
-            continue
+    def moved(self, problem: Problem, start: Point, free: tuple[Free, ...], step: Float) -> _State:
+        """The state a step away, clipped to the parameters' bounds; infinitely dear where nothing can be simulated."""
+        values = np.clip(self.values + step, [f.low for f in free], [f.high for f in free])
+        (prediction,) = problem.predict([at(start, free, list(values))])
         z = problem.whitened(problem.measured - prediction)
-        trial = _cost(z, new, weight, center)
-        if best is None or trial < best[0]:
-            best = (trial, new, z, prediction)
-        if trial < cost:
-            break
-        step = step / 2
-    if best is None:
-        raise InputError("the fit left the region that can be simulated; check the priors of the campaign's nuisances")
-    return best
+        pulls = self.weight * (values - self.center)
+        cost = float(z @ z + pulls @ pulls)
+        return replace(self, values=values, prediction=prediction, z=z, cost=cost if np.isfinite(cost) else np.inf)
+
+
+def _step(matrix: Float, state: _State, radius: float) -> tuple[Float, float, float]:
+    """The Gauss-Newton step, shortened to ``radius`` sigmas of the priors; the fall of the cost it promises; its length."""
+    unit = state.unit
+    scaled = matrix * unit
+    pulls = state.weight * (state.values - state.center)
+    gradient = scaled.T @ state.z - state.weight * unit * pulls
+    size, along = np.linalg.eigh(scaled.T @ scaled + np.diag((state.weight * unit) ** 2))
+    size = np.maximum(size, 1e-12 * size[-1])
+    part = along.T @ gradient
+
+    def shortened(damping: float) -> Float:
+        return np.asarray(along @ (part / (size + damping)))
+
+    damping = 0.0
+    if np.abs(shortened(0.0)).max() > radius:
+        low, high = 1e-6, 1e-6
+        while np.abs(shortened(high)).max() > radius:
+            low, high = high, 10 * high
+        for _ in range(20):
+            damping = float(np.sqrt(low * high))
+            low, high = (damping, high) if np.abs(shortened(damping)).max() > radius else (low, damping)
+        damping = high
+    taken = shortened(damping)
+    promised = float(2 * gradient @ taken - np.sum(size * (along.T @ taken) ** 2))
+    return taken * unit, promised, float(np.abs(taken).max())

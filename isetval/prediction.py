@@ -44,6 +44,7 @@ SEEDS_OF_ROLE = {"dark": 12, "flat": 2}  # at most; 1 for all others
 NOISE_ROLES = ("dark", "flat")  # where noise itself is measured: means elsewhere do not feel it
 BASE_SEED = 7_000
 FLOOR = 0.15  # eigenvalues of a correlation matrix
+TOWARDS_ONE, TOWARDS_FAMILY = 40, 100  # numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +71,13 @@ class Base:
     """Mean and covariance of the metrics at the nominal point, from ``replicas`` simulated campaigns.
 
     ``values`` is (replicas, metrics); ``covariance`` (metrics, metrics) is of one campaign, scaled by
-    family to the scatter that the replicas show; ``scale`` holds those factors of sigma.
+    family and shot to the scatter that the replicas show; ``scale`` (metrics,) holds those factors of sigma.
     """
 
     mean: Float
     covariance: Float
     values: Float
-    scale: Mapping[str, float]
+    scale: Float
 
     @property
     def replicas(self) -> int:
@@ -172,8 +173,7 @@ class Predictor:
                 values[r, self.rows[shot.name]] = next(vectors)
         covariance = np.mean([_ordered(t.covariance(), self._order(t)) for t in tables], axis=0)
         scale = self._scatter(values, covariance)
-        factor = np.array([scale[m.family] for m in self.table.metrics])
-        covariance = covariance * np.outer(factor, factor) + self._of_renders(tasks[: len(self.shots)])
+        covariance = covariance * np.outer(scale, scale) + self._of_renders(tasks[: len(self.shots)])
         return Base(values.mean(axis=0), covariance, values, scale)
 
     def _of_renders(self, tasks: list[ShotPart]) -> Float:
@@ -190,28 +190,32 @@ class Predictor:
         place = {m.key(): i for i, m in enumerate(table.metrics)}
         return np.array([place.get(key, -1) for key in self.keys])
 
-    def _scatter(self, values: Float, covariance: Float) -> dict[str, float]:
-        """Ratio of the replicas' scatter to the stated covariance per family (whitened), drawn towards 1 by 40 numbers.
+    def _scatter(self, values: Float, covariance: Float) -> Float:
+        """Ratio (metrics,) of the replicas' scatter to the stated covariance (whitened), by family and shot.
 
+        A family's ratio is drawn towards 1 by `TOWARDS_ONE` numbers, that of the family in one shot towards the
+        family's by `TOWARDS_FAMILY`: row noise, for one, concerns horizontal edges only.
         Directions below `FLOOR` do not count: there the covariance holds more than the estimator's own noise on purpose
         (`isetval.measure.analyses.edges.ROUGHNESS`), and scatters that are smaller would shrink all the others.
         """
         families = np.array([m.family for m in self.table.metrics])
+        shots = np.array([str(m.shot) for m in self.table.metrics])
         variance = np.diag(covariance)
         good = np.isfinite(variance) & (variance > 0) & np.isfinite(values).all(axis=0)
         residual = values - values.mean(axis=0)
-        out = {}
+        out = np.ones(families.size)
         for family in dict.fromkeys(families):
             if family.endswith(("outliers", "noisy_pixels")):
-                out[str(family)] = 1.0
                 continue
-            rows = np.flatnonzero((families == family) & good)
-            sigma = np.sqrt(variance[rows])
-            size, along = np.linalg.eigh(covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma))
-            seen = size > FLOOR
-            part = along[:, seen].T @ (residual[:, rows] / sigma).T
-            square = float(np.sum(part**2 / size[seen, None]))
-            out[str(family)] = float(np.sqrt((square + 40) / (seen.sum() * (len(values) - 1) + 40)))
+            parts = [(shot, np.flatnonzero((families == family) & (shots == shot) & good)) for shot in dict.fromkeys(shots)]
+            seen = {
+                shot: _whitened_square(residual[:, rows], covariance[np.ix_(rows, rows)]) for shot, rows in parts if rows.size
+            }
+            total, numbers = sum(square for square, _ in seen.values()), sum(n for _, n in seen.values())
+            whole = (total + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
+            for shot, (square, n) in seen.items():
+                own = (square + TOWARDS_FAMILY * whole) / (n + TOWARDS_FAMILY)
+                out[(families == family) & (shots == shot)] = np.sqrt(own)
         return out
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
@@ -244,6 +248,15 @@ class Predictor:
             for task, job in zip(tasks, jobs, strict=True)
         ]
         return [future.result() for future in futures]
+
+
+def _whitened_square(residual: Float, covariance: Float) -> tuple[float, int]:
+    """Sum of squares of residuals (replicas, rows) whitened with a covariance (rows, rows), and how many numbers it holds."""
+    sigma = np.sqrt(np.diag(covariance))
+    size, along = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    seen = size > FLOOR
+    part = along[:, seen].T @ (residual / sigma).T
+    return float(np.sum(part**2 / size[seen, None])), int(seen.sum()) * (len(residual) - 1)
 
 
 def _content(task: ShotPart) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -51,10 +52,19 @@ class Spectrum:
         grid = np.asarray(wavelength_nm, float)
         if grid.size < 2 or self.wavelength_nm.size < 2:
             return self.at(grid)
-        fine = np.union1d(np.union1d(grid, self.wavelength_nm), np.arange(grid[0], grid[-1], 0.5))
-        fine = fine[(fine >= grid[0]) & (fine <= grid[-1])]
-        hats = np.array([np.interp(fine, grid, unit) for unit in np.eye(grid.size)])
-        return np.asarray(np.trapezoid(hats * self.at(fine), fine, axis=1) / np.trapezoid(hats, fine, axis=1))
+        return _band_means(self.wavelength_nm.tobytes(), self.values.tobytes(), grid.tobytes())
+
+
+@lru_cache(maxsize=1024)
+def _band_means(table_nm: bytes, values: bytes, grid_nm: bytes) -> Float:
+    """Read-only; a plan asks for the same few spectra thousands of times."""
+    table, known, grid = (np.frombuffer(part) for part in (table_nm, values, grid_nm))
+    fine = np.union1d(np.union1d(grid, table), np.arange(grid[0], grid[-1], 0.5))
+    fine = fine[(fine >= grid[0]) & (fine <= grid[-1])]
+    hats = np.array([np.interp(fine, grid, unit) for unit in np.eye(grid.size)])
+    means = np.trapezoid(hats * np.interp(fine, table, known), fine, axis=1) / np.trapezoid(hats, fine, axis=1)
+    means.flags.writeable = False
+    return np.asarray(means)
 
 
 def read_spectra(path: Path | str) -> Mapping[str, Spectrum]:

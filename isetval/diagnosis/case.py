@@ -13,9 +13,10 @@ from isetval.diagnosis.evidence import Refit
 from isetval.diagnosis.profile import Frame, make_frame
 from isetval.diagnosis.result import CandidateRow
 from isetval.diagnosis.templates import SURE, Second
-from isetval.fit import Fit, Problem, fit
+from isetval.fit import Fit, far_values, fit
 from isetval.model import CameraModel
 from isetval.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
+from isetval.problem import Problem
 
 WORTH_ON_HOLDOUT = 0.3
 ODDS = 19.0
@@ -38,6 +39,7 @@ class Case:
     named_posteriors: list[tuple[float, float, float]] = field(default_factory=list)
     classes: list[tuple[str, ...]] = field(default_factory=list)
     rivals: list[tuple[str, ...]] = field(default_factory=list)
+    beaten: list[tuple[Refit, ...]] = field(default_factory=list)
     rows: list[CandidateRow] = field(default_factory=list)
     unobservable: tuple[str, ...] = ()
     remarks: list[str] = field(default_factory=list)
@@ -48,8 +50,8 @@ def second_session(case: Case) -> Second | None:
     if case.held is None:
         return None
     model = named_model(case, case.named, case.fitted)
-    fitted = case.held.fit_nuisances(model)
-    return Second(case.held.problem_for(model), make_frame(fitted), fitted.residual)
+    problem, fitted = case.held.settled(model)
+    return Second(problem, make_frame(fitted), fitted.residual)
 
 
 def _holdout_gain(case: Case, held: Prepared, found: Refit, say: Say) -> float:
@@ -92,7 +94,8 @@ def rebase(case: Case, say: Say) -> None:
         if turn == 0:
             model = model.with_values(dict(case.named[-1].values))
         say("simulating the plan with the effects named so far")
-        problem = case.prepared.problem_for(model, seeds=SPECIMEN_SEEDS if drawn else DERIVATIVE_SEEDS)
+        seeds = SPECIMEN_SEEDS if drawn else DERIVATIVE_SEEDS
+        problem = case.prepared.problem_for(model, seeds=seeds, values=far_values(case.fitted))
         problem.columns.update(case.problem.columns)
         before = case.fitted
         case.fitted = fit(problem, Point(model, before.point.values), before.free)

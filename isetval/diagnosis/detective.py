@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from isetval.comparison import Prepared, prepare, repeat_gate, split_sessions
 from isetval.core.campaign import Campaign
 from isetval.diagnosis.account import account_of
-from isetval.diagnosis.candidates import Candidate, candidates_for, signatures
+from isetval.diagnosis.candidates import Candidate, aligned, candidates_for, signatures
 from isetval.diagnosis.case import Case, confirmed, holds, rebase, second_session
 from isetval.diagnosis.evidence import CLOSE_LOG_ODDS, Refit, class_posterior, log_hessian, posteriors, refit, smallest_detectable
 from isetval.diagnosis.profile import Score, cosine, make_frame, score
 from isetval.diagnosis.result import CandidateRow, Diagnosis
+from isetval.diagnosis.swap import swap
 from isetval.diagnosis.templates import Finding, findings
-from isetval.fit import fit, nuisance_parameters
+from isetval.fit import far_values
 from isetval.model import CameraModel
 from isetval.prediction import Point
 
@@ -99,13 +100,13 @@ def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared
 
 
 def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Case:
-    problem = prepared.problem
     say("fitting the nuisances of the nominal model")
-    fitted = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
+    problem, fitted = prepared.settled(model)
     wanted = candidates_for(model)
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
-    made = signatures(problem, Point(model), wanted, project=frame.basis[: frame.rows])
+    made = signatures(problem, Point(model, far_values(fitted)), wanted, project=frame.basis[: frame.rows])
+    made = aligned(problem, fitted, made)
     return Case(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame)
 
 
@@ -133,6 +134,8 @@ def _investigate(case: Case, say: Say) -> list[Finding]:
         _name(case, refits, len(tested), turn)
         say(f"named {refits[0].candidate.name}")
         rebase(case, say)
+        if turn and swap(case, say):
+            rebase(case, say)
     return findings(case.problem, make_frame(case.fitted), alpha=ALPHA, second=second_session(case))
 
 
@@ -207,6 +210,7 @@ def _name(case: Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
     case.classes.append(tuple(dict.fromkeys([*rivals, *close])))
     case.rivals.append(rivals)
     case.named.append(best)
+    case.beaten.append(tuple(refits[1:]))
     members = [0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]
     case.named_posteriors.append(class_posterior(refits, members, tests))
     if turn == 0:

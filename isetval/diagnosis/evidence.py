@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from isetval.diagnosis.candidates import Candidate, Signature
 from isetval.diagnosis.profile import Score
-from isetval.fit import Fit, Free, Problem, fit
+from isetval.fit import Fit, Free, fit
 from isetval.prediction import Point
+from isetval.problem import Problem
 
 Float = NDArray[np.float64]
 PROBABILITY_CAP = 0.98

@@ -20,9 +20,10 @@ from isetval.core.spectrum import Spectrum
 from isetval.diagnosis.candidates import Signature, signatures
 from isetval.diagnosis.profile import Frame, cosine, make_frame
 from isetval.diagnosis.result import NextCapture
-from isetval.fit import Fit, Problem, jacobian, make_problem, nuisance_parameters
+from isetval.fit import Fit, jacobian, nuisance_parameters
 from isetval.measure.campaign import measure_campaign
 from isetval.prediction import Point, Predictor
+from isetval.problem import Problem, make_problem
 from isetval.shooting import simulate
 
 Float = NDArray[np.float64]
@@ -144,7 +145,7 @@ def next_captures(problem: Problem, fitted: Fit, pairs: Sequence[tuple[Signature
 def _extra(problem: Problem, plan: Campaign, start: Point) -> Problem:
     shot = simulate(start.model, plan, seed=3)
     predictor = Predictor(plan, measure_campaign(shot), jobs=1)
-    return make_problem(predictor, start.model, base=predictor.base(start, REPLICAS))
+    return make_problem(predictor, start, base=predictor.base(start, REPLICAS))
 
 
 def _pair_cosine(problem: Problem, frame: Frame, a: Signature, b: Signature) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
 from isetval.diagnosis.profile import Frame
-from isetval.fit import Problem
+from isetval.problem import Problem
 
 Float = NDArray[np.float64]
 AXES = {

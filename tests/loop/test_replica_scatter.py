@@ -12,9 +12,13 @@ ROWS, REPLICAS = 200, 40
 FREQUENCIES = 10
 
 
-def factor(values, covariance, family="mtf"):
-    metrics = [Metric("m", 0.5, 0.01, "1", family=family)] * len(covariance)
-    return Predictor._scatter(SimpleNamespace(table=SimpleNamespace(metrics=metrics)), values, covariance)[family]
+def factors(values, covariance, shots):
+    metrics = [Metric("m", 0.5, 0.01, "1", family="mtf", shot=shot) for shot in shots]
+    return Predictor._scatter(SimpleNamespace(table=SimpleNamespace(metrics=metrics)), values, covariance)
+
+
+def factor(values, covariance):
+    return float(np.mean(factors(values, covariance, ["one shot"] * len(covariance))))
 
 
 @pytest.mark.parametrize("true", [0.7, 1.0, 2.0])
@@ -34,3 +38,12 @@ def test_smooth_curves_with_a_rough_allowance_keep_their_sigma():
     root = np.linalg.cholesky(smooth + 1e-12 * np.eye(FREQUENCIES))
     values = (rng.standard_normal((REPLICAS, edges, FREQUENCIES)) @ root.T).reshape(REPLICAS, ROWS)
     assert factor(values, stated) == pytest.approx(1.0, abs=0.06)  # .6 where the allowance counts as measured
+
+
+def test_a_shot_that_scatters_more_than_its_family_keeps_its_own_factor():
+    # two orientations of an edge, of which row noise concerns one: sigma twice as large there
+    true = np.repeat([1.0, 2.0], ROWS // 2)
+    values = true * np.random.default_rng(5).standard_normal((REPLICAS, ROWS))
+    found = factors(values, np.eye(ROWS), ["vertical"] * (ROWS // 2) + ["horizontal"] * (ROWS // 2))
+    assert found[0] == pytest.approx(1.0, abs=0.06)
+    assert found[-1] == pytest.approx(2.0, abs=0.1)

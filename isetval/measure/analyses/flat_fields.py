@@ -66,7 +66,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
             here.append(len(rows))
             there.append(names.index(key))
             if quantity.shared > 0:
-                label = f"{shot.role}:{name}:{plane}:{window_label(shot)}"
+                label = f"{shot.role}:{key.removesuffix('_dn')}:{plane}:{window_label(shot)}"
                 shared.setdefault(label, []).append((len(rows), quantity.shared))
             region = key.removeprefix("gradient_").removesuffix("_dn") if name == "gradient" else ""
             rows.append(

@@ -150,12 +150,15 @@ def _plane_statistics(
     temporal = moments.temporal
     row_temporal, frame_scatter = row_and_frame_scatter(moments)
     noise = temporal.value if frames > 1 else _single_frame_variance(moments)
-    mean_variance = noise / (pixels * frames) + max(row_temporal.value if frames > 1 else 0.0, 0.0) / (rows * frames)
+    row_noise = max(row_temporal.value, 0.0) if frames > 1 else 0.0
+    mean_variance = noise / (pixels * frames) + row_noise / (rows * frames)
     fixed = decompose(moments, degree, relative=relative, row_temporal=row_temporal.value if frames > 1 else 0.0)
     # outlying pixels (hot, dead) are counted on their own and must not lift the mean
     level = float(fixed.surface.mean(dtype=np.float64)) if fixed.outliers else moments.mean
     mean = Quantity(level, math.sqrt(mean_variance), "DN", math.sqrt(max(fixed.total.value, 0.0) / pixels))
-    gradient_row, gradient_column = _gradients(moments, noise / frames)
+    gradient_row, gradient_column = _gradients(
+        moments, (noise / frames, row_noise / frames, 0.0), (fixed.pixel.value, fixed.row.value, fixed.column.value)
+    )
     quantities = {
         "mean_dn": mean,
         "temporal_variance_dn2": temporal,
@@ -225,15 +228,22 @@ def line_scatter(means: Float, noise: float, cols: int, noise_sigma: float) -> t
     return row, frame
 
 
-def _gradients(moments: Moments, noise: float) -> tuple[Quantity, Quantity]:
-    """Rise of the mean image from first to last row and column, DN (slope of the best plane times the length)."""
+def _gradients(
+    moments: Moments, noise: tuple[float, float, float], pattern: tuple[float, float, float]
+) -> tuple[Quantity, Quantity]:
+    """Rise of the mean image from first to last row and column, DN (slope of the best plane times the length).
+
+    ``noise`` of the mean image and fixed ``pattern`` are variances of pixels, rows and columns, DN^2: a row's
+    own noise tilts the profile of row means as a pixel's does, but does not average over the row.
+    """
     average = np.asarray(moments.average, dtype=np.float64)
     out = []
-    for profile, other in ((average.mean(axis=1), average.shape[1]), (average.mean(axis=0), average.shape[0])):
-        n = profile.size
-        x = (np.arange(n) - (n - 1) / 2) / max(n - 1, 1)
+    for axis in (0, 1):
+        profile, other = average.mean(axis=1 - axis), average.shape[1 - axis]
+        x = (np.arange(profile.size) - (profile.size - 1) / 2) / max(profile.size - 1, 1)
         power = max(float(x @ x), 1e-12)
-        out.append(Quantity(float(x @ profile) / power, math.sqrt(noise / other / power), "DN"))
+        own, fixed = (math.sqrt(max(0.0, part[0] / other + part[1 + axis]) / power) for part in (noise, pattern))
+        out.append(Quantity(float(x @ profile) / power, own, "DN", fixed))
     return out[0], out[1]
 
 

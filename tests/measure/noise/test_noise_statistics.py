@@ -139,3 +139,19 @@ def test_frames_of_different_size_are_refused():
     b = NoiseCamera(np.random.default_rng(8), (32, 34)).shoot(100.0, 1)
     with pytest.raises(InputError, match=r"capture 1 is \(32, 34\)"):
         flat_statistics(a + b)
+
+
+def test_row_noise_and_fixed_rows_tilt_the_mean_image_and_are_in_its_sigma():
+    rng = np.random.default_rng(31)
+    rows, columns = [], []
+    for _ in range(TRIALS):
+        pattern = 0.4 * rng.standard_normal((64, 1)) + 0.3 * rng.standard_normal((64, 64))
+        frames = [64 + pattern + 0.5 * rng.standard_normal((64, 1)) + rng.standard_normal((64, 64)) for _ in range(4)]
+        captures = [Capture.from_array(np.rint(f).astype(np.uint16), cfa="MONO", black_dn=64) for f in frames]
+        found = dark_statistics(captures)["MONO"]
+        rows.append((found["gradient_row_dn"].value, found["gradient_row_dn"].total_sigma))
+        columns.append((found["gradient_column_dn"].value, found["gradient_column_dn"].total_sigma))
+    for pairs in (rows, columns):
+        value, sigma = np.array(pairs).T
+        assert abs(np.sqrt(np.mean(sigma**2)) / value.std() - 1) < 4 / np.sqrt(2 * TRIALS)
+    assert np.std([r for r, _ in rows]) > 3 * np.std([c for c, _ in columns])
