@@ -5,6 +5,8 @@ import pytest
 from scene_lenses import BACK_MM, FOCAL_MM, focused_film_mm, pixel_4a, textbook_lens, textbook_table
 
 from isetval.core.errors import InputError
+from isetval.lens.polynomials import OutputPolynomial, RayPolynomials
+from isetval.lens.ray_transfer import WavelengthTable
 from isetval.scenes import wall_camera
 from isetval.scenes.image_space import image_space_irradiance
 from isetval.scenes.passes import Render
@@ -75,6 +77,31 @@ def test_wavelengths_take_their_own_table(fast_variant):
     expected = [disk_irradiance(0, r, FOCAL_MM) for r in (0.3, 0.6)]
     for band, table in ((0, 0), (1, 0), (4, 1), (5, 1)):
         assert abs(found[band] - expected[table]) < 4 * sigma[band] + 1e-4 * expected[table]
+
+
+def test_lateral_color_moves_an_edge_between_the_bands(fast_variant):
+    # sin(out) = scale sin(in), tan(in) = r / f: the same object is imaged d r / r = -(1 - 1 / scale) / cos^2(in) nearer
+    scale = 1.002
+    view = lens_view(
+        textbook_lens(tables=(textbook_table(500.0, 0.2), steeper(600.0, 0.2, scale))), film_mm=focused_film_mm(0.5), reach_mm=3.6
+    )
+    crop = (1480, 3000, 64, 64)
+    bands = [480.0, 500.0, 520.0, 580.0, 600.0, 620.0]
+    out = ray_space_irradiance(edge_scene(view, crop, 0.5), view, camera=CAMERA, crop=crop, wavelength_nm=bands, spp=8000, seed=4)
+    blue, red = (np.polyval(edge_line(out.irradiance[i].astype(float)), 31.5) for i in (1, 4))
+    from_axis_px = crop[1] + blue + 0.5 - CAMERA["cols"] / 2
+    tangent = from_axis_px * 1.4e-3 / FOCAL_MM
+    expected = -from_axis_px * (1 - 1 / scale) * (1 + tangent**2)
+    assert red - blue == pytest.approx(expected, abs=0.1)  # 3 sigma
+
+
+def steeper(wavelength_nm, radius_mm, scale):
+    """The textbook table with all outgoing directions ``scale`` times as steep: lateral color in closed form."""
+    table = textbook_table(wavelength_nm, radius_mm)
+    outputs = dict(table.polynomials.outputs)
+    for name in ("outdx", "outdy"):
+        outputs[name] = OutputPolynomial(outputs[name].exponents, scale * outputs[name].coefficients)
+    return WavelengthTable(wavelength_nm, table.region, RayPolynomials(outputs))
 
 
 def uniform_render(view, crop, radiance, subsample=2, halo_px=16):
