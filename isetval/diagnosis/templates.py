@@ -36,6 +36,7 @@ GROUPS = {
     "region": "region",
 }
 MAX_PER_GROUP = 40
+RIPPLES = (1, 2)  # periods from the middle to the corner
 SURE = 1e-6
 ALLOWED = 1.1**2  # in the variance of a family
 
@@ -67,7 +68,9 @@ def templates(metrics: Sequence[Metric], predicted: Float, sigma: Float) -> Iter
             base = np.where(member & np.isfinite(amplitude), amplitude, 0.0)
             yield Template(f"{family}: all values ({kind})", base)
             yield from _along_axes(metrics, family, member, base)
-        yield from _groups(metrics, family, member, np.where(member & np.isfinite(size), size, 0.0))
+        proportional = np.where(member & np.isfinite(size), size, 0.0)
+        yield from _ripples(metrics, family, member, proportional)
+        yield from _groups(metrics, family, member, proportional)
 
 
 def _axis(metrics: Sequence[Metric], name: str) -> Float:
@@ -87,6 +90,18 @@ def _along_axes(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_
         yield Template(f"{family} changes along {words}", base * t)
         if np.unique(np.round(t[use], 6)).size > 2:
             yield Template(f"{family} bends along {words}", base * np.where(use, t**2 - np.mean(t[use] ** 2), 0.0))
+
+
+def _ripples(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+    """Radial waves of `RIPPLES` periods in both phases, where there are radii enough to see them."""
+    radius = np.where(member, _axis(metrics, "radius"), np.nan)
+    known = np.unique(np.round(radius[member], 6))
+    if known.size < 4 * max(RIPPLES):
+        return
+    turn = 2 * np.pi * np.nan_to_num((radius - known[0]) / np.ptp(known))
+    for periods in RIPPLES:
+        yield Template(f"{family} ripples along field radius, {periods} periods (cosine)", base * np.cos(periods * turn))
+        yield Template(f"{family} ripples along field radius, {periods} periods (sine)", base * np.sin(periods * turn))
 
 
 def _groups(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:

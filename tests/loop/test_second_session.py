@@ -65,3 +65,9 @@ def test_scatter_of_a_family_counts_in_both_sessions(there, named):
     other = np.sqrt(there) * np.where(np.arange(N) % 2, 1.0, -1.0)
     assert family_excess(problem(), residual)
     assert bool(family_excess(problem(), residual, second=second(other))) == named
+
+
+def test_radial_fringes_are_described_as_ripples():
+    wave = np.sin(2 * np.pi * 2 * RADIUS_MM / RADIUS_MM[-1])
+    frame = Frame(np.sqrt(60.0) * wave / np.linalg.norm(wave), np.zeros((N, 0)), N)
+    assert findings(problem(), frame)[0].words == "flat_mean ripples along field radius, 2 periods (sine)"
