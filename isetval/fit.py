@@ -20,6 +20,7 @@ CURVED = ("focus_um", "edge_shift_px", "edge_angle_deg")
 MAX_ITERATIONS, MAX_FAILURES = 20, 2
 RADIUS = 4.0  # prior sigmas
 STALE, FAR = 1.0, 3.0
+ALIKE = 0.995  # cosine
 CONVERGED = 0.02
 
 
@@ -103,6 +104,8 @@ def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, stale: flo
     raw = dict(zip((f.key for f in wanted), _slopes(problem, point, wanted), strict=True))
     here = {f.key: point.values.get(f.key, 0.0) for f in free if f.is_nuisance}
     problem.columns.update({f.key: Column(raw[f.key], here) for f in wanted if f.is_nuisance})
+    focus = [problem.columns[f.key].slope for f in free if is_focus(f)]
+    raw |= {f.key: made_parallel(problem, raw[f.key], focus) for f in wanted if not f.is_nuisance}
     if not free:
         return np.zeros((problem.keep.size, 0))
     return problem.whitened(np.column_stack([raw[f.key] if f.key in raw else problem.columns[f.key].slope for f in free]))
@@ -123,9 +126,30 @@ def _moved(problem: Problem, point: Point, free: Sequence[Free], stale: float) -
     return out
 
 
+def made_parallel(problem: Problem, column: Float, focus: Sequence[Float]) -> Float:
+    """A raw column (metrics,) of which the part that imitates a focus error is exactly parallel to that error's.
+
+    A defocus is told from an error of the focus scale by the scale's prior only; what the finite steps of the
+    two differ by, a percent of fifty sigmas, would count for more than the prior.
+    """
+    out = column
+    for slope in focus:
+        w, a = problem.whitened(slope), problem.whitened(out)
+        rows = w != 0
+        length = float(np.linalg.norm(w) * np.linalg.norm(a[rows]))
+        if length > 0 and abs(float(a[rows] @ w[rows])) > ALIKE * length:
+            out = np.where(slope != 0, slope * float(a[rows] @ w[rows]) / float(w @ w), out)
+    return np.asarray(out)
+
+
+def is_focus(f: Free) -> bool:
+    """Whether a parameter is an error of the focus scale."""
+    return f.key.startswith("focus_um@")
+
+
 def far_values(fitted: Fit) -> dict[str, float]:
     """Focus errors that a fit moved by more than `FAR` of their prior's sigmas."""
-    focus = [f for f in fitted.free if f.key.startswith("focus_um@")]
+    focus = [f for f in fitted.free if is_focus(f)]
     return {f.key: fitted.value(f.key)[0] for f in focus if abs(fitted.value(f.key)[0]) > FAR * (f.prior or f.step)}
 
 

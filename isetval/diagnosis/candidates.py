@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from isetval.core.effect import Effect, ParameterInfo
 from isetval.effects import catalogue
-from isetval.fit import Fit, Free, far_values
+from isetval.fit import Fit, Free, is_focus, made_parallel
 from isetval.model import CameraModel
 from isetval.prediction import NOISE_ROLES, RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 from isetval.problem import Problem
 
 Float = NDArray[np.float64]
 STRONG, WANTED = 80.0, 50.0
-ALIKE, ALIGNMENTS = 0.9, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,38 +128,10 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
 
 
 def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Signature]:
-    """Signatures that look like a focus error far from zero, taken again with the very steps of that nuisance.
-
-    A defocus is told from an error of the focus scale by the scale's prior only: the difference of a secant
-    and a derivative would count for more than the prior.
-    """
-    out = list(made)
-    for key in far_values(fitted):
-        step = next(f.step for f in fitted.free if f.key == key)
-        column = problem.whitened(problem.columns[key].slope * step)
-        rows = column != 0
-        for i, signature in enumerate(out):
-            if len(signature.candidate.parameters) > 1:
-                continue
-            for _ in range(ALIGNMENTS):
-                part = problem.whitened(out[i].columns[:, 0] * out[i].steps[0])[rows]
-                length = float(np.linalg.norm(part))
-                if length == 0 or abs(float(part @ column[rows])) < ALIKE * length * float(np.linalg.norm(column)):
-                    break
-                out[i] = _both_sides(problem, fitted.point, out[i], out[i].steps[0] * float(np.linalg.norm(column)) / length)
-    return out
-
-
-def _both_sides(problem: Problem, point: Point, signature: Signature, step: float) -> Signature:
-    """The derivative from both sides, or the signature as it is where the parameter has only one."""
-    candidate = signature.candidate
-    value, low, high = candidate.nominal[0], candidate.parameters[0].low, candidate.parameters[0].high
-    if not (low <= value - abs(step) and value + abs(step) <= high):
-        return signature
-    model = candidate.model_with(point.model)
-    points = [Point(model.with_values({candidate.keys[0]: value + h}), point.values) for h in (step, -step)]
-    up, down = problem.predictor.derivative_vectors(points, problem.seeds)
-    return Signature(candidate, np.nan_to_num((up - down) / (2 * step))[:, None], np.array([step]))
+    """Signatures made parallel to the focus errors that they imitate; see `isetval.fit.made_parallel`."""
+    focus = [problem.columns[f.key].slope for f in fitted.free if is_focus(f)]
+    columns = [np.column_stack([made_parallel(problem, column, focus) for column in s.columns.T]) for s in made]
+    return [replace(s, columns=c) for s, c in zip(made, columns, strict=True)]
 
 
 def _profiled(problem: Problem, columns: Float, project: Float) -> Float:

@@ -13,6 +13,7 @@ from isetval.core.capture import Capture, plane_view
 from isetval.core.metric import Block, Metric
 from isetval.measure.conditions import metric, shot_conditions, window_label
 from isetval.measure.noise.quantity import Quantity
+from isetval.measure.noise.specimen import specimen_loadings
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics
 
 ROLES = ("dark", "flat")
@@ -65,9 +66,8 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
                 continue
             here.append(len(rows))
             there.append(names.index(key))
-            if quantity.shared > 0:
-                label = f"{shot.role}:{key.removesuffix('_dn')}:{plane}:{window_label(shot)}"
-                shared.setdefault(label, []).append((len(rows), quantity.shared))
+            for label, part in specimen_loadings(shot, captures[0], plane, plane_statistics, key).items():
+                shared.setdefault(label, []).append((len(rows), part))
             region = key.removeprefix("gradient_").removesuffix("_dn") if name == "gradient" else ""
             rows.append(
                 metric(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
 from isetval.measure.noise.codes import code_statistics
-from isetval.measure.noise.decomposition import decompose
+from isetval.measure.noise.decomposition import FixedPattern, decompose
 from isetval.measure.noise.moments import Moments, frame_moments
 from isetval.measure.noise.quantity import Quantity
 
@@ -155,7 +155,7 @@ def _plane_statistics(
     fixed = decompose(moments, degree, relative=relative, row_temporal=row_temporal.value if frames > 1 else 0.0)
     # outlying pixels (hot, dead) are counted on their own and must not lift the mean
     level = float(fixed.surface.mean(dtype=np.float64)) if fixed.outliers else moments.mean
-    mean = Quantity(level, math.sqrt(mean_variance), "DN", math.sqrt(max(fixed.total.value, 0.0) / pixels))
+    mean = Quantity(level, math.sqrt(mean_variance), "DN", _mean_scatter(fixed, (rows, cols)))
     gradient_row, gradient_column = _gradients(
         moments, (noise / frames, row_noise / frames, 0.0), (fixed.pixel.value, fixed.row.value, fixed.column.value)
     )
@@ -184,6 +184,13 @@ def _plane_statistics(
         frame_means_dn=moments.frame_means,
         frame_mean_sigma_dn=math.sqrt(mean_variance * frames),
     )
+
+
+def _mean_scatter(fixed: FixedPattern, shape: tuple[int, int]) -> float:
+    """Standard deviation of a plane's mean over specimens, DN: fixed rows and columns average over their number only."""
+    rows, cols = shape
+    parts = (fixed.pixel.value / (rows * cols), fixed.row.value / rows, fixed.column.value / cols)
+    return math.sqrt(sum(max(0.0, part) for part in parts))
 
 
 def _single_frame_variance(moments: Moments) -> float:
@@ -240,11 +247,20 @@ def _gradients(
     out = []
     for axis in (0, 1):
         profile, other = average.mean(axis=1 - axis), average.shape[1 - axis]
-        x = (np.arange(profile.size) - (profile.size - 1) / 2) / max(profile.size - 1, 1)
-        power = max(float(x @ x), 1e-12)
+        x, power = _centered(profile.size), tilt_power(profile.size)
         own, fixed = (math.sqrt(max(0.0, part[0] / other + part[1 + axis]) / power) for part in (noise, pattern))
         out.append(Quantity(float(x @ profile) / power, own, "DN", fixed))
     return out[0], out[1]
+
+
+def _centered(count: int) -> Float:
+    return (np.arange(count) - (count - 1) / 2) / max(count - 1, 1)
+
+
+def tilt_power(count: int) -> float:
+    """Sum of squares of ``count`` equidistant places from -1/2 to 1/2: variance of a mean line over that of its rise."""
+    x = _centered(count)
+    return max(float(x @ x), 1e-12)
 
 
 def noisy_fraction(moments: Moments) -> Quantity:
