@@ -93,15 +93,16 @@ def at(point: Point, free: Sequence[Free], values: Sequence[float]) -> Point:
     return Point(model, nuisances)
 
 
-def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, stale: float = STALE) -> Float:
+def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, stale: float = STALE, both_sides: bool = False) -> Float:
     """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
 
     Columns of nuisances are remembered, and taken again where the problem bends: when one of `CURVED`
-    that shares rows with them has moved by more than ``stale`` of its prior sigmas.
+    that shares rows with them has moved by more than ``stale`` of its prior sigmas.  With ``both_sides``
+    columns of effects are central differences: a variance goes as the square of its parameter.
     """
     moved = _moved(problem, point, free, stale)
     wanted = [f for f in free if not f.is_nuisance or f.key not in problem.columns or f.key in moved]
-    raw = dict(zip((f.key for f in wanted), _slopes(problem, point, wanted), strict=True))
+    raw = dict(zip((f.key for f in wanted), _slopes(problem, point, wanted, both_sides), strict=True))
     here = {f.key: point.values.get(f.key, 0.0) for f in free if f.is_nuisance}
     problem.columns.update({f.key: Column(raw[f.key], here) for f in wanted if f.is_nuisance})
     focus = [problem.columns[f.key].slope for f in free if is_focus(f)]
@@ -148,28 +149,33 @@ def is_focus(f: Free) -> bool:
 
 
 def far_values(fitted: Fit) -> dict[str, float]:
-    """Focus errors that a fit moved by more than `FAR` of their prior's sigmas."""
-    focus = [f for f in fitted.free if is_focus(f)]
-    return {f.key: fitted.value(f.key)[0] for f in focus if abs(fitted.value(f.key)[0]) > FAR * (f.prior or f.step)}
+    """Focus errors that a fit moved by more than `FAR` of their prior's sigmas, to the nearest whole sigma."""
+    out = {}
+    for f in fitted.free:
+        unit = f.prior or f.step
+        if is_focus(f) and abs(fitted.value(f.key)[0]) > FAR * unit:
+            out[f.key] = unit * round(fitted.value(f.key)[0] / unit)
+    return out
 
 
-def _slopes(problem: Problem, point: Point, wanted: Sequence[Free]) -> list[Float]:
-    """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends."""
+def _slopes(problem: Problem, point: Point, wanted: Sequence[Free], both_sides: bool) -> list[Float]:
+    """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked."""
     points: list[Point] = [point]
-    steps = []
+    steps, twice = [], []
     for f in wanted:
         value = point.values.get(f.key, 0.0) if f.is_nuisance else point.model.value(f.key)
         up = f.step if value + f.step <= f.high else -f.step
         steps.append(up)
         points.append(at(point, [f], [value + up]))
-        if _curved(f):
+        twice.append(_curved(f) or (both_sides and not f.is_nuisance and f.low <= value - up <= f.high))
+        if twice[-1]:
             points.append(at(point, [f], [value - up]))
     vectors = iter(problem.predictor.derivative_vectors(points, problem.seeds))
     here = next(vectors)
     out = []
-    for f, up in zip(wanted, steps, strict=True):
+    for up, symmetric in zip(steps, twice, strict=True):
         ahead = next(vectors)
-        slope = (ahead - next(vectors)) / (2 * up) if _curved(f) else (ahead - here) / up
+        slope = (ahead - next(vectors)) / (2 * up) if symmetric else (ahead - here) / up
         out.append(np.nan_to_num(slope))
     return out
 
@@ -215,6 +221,8 @@ def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
                 break
             radius = length / 6
             matrix = jacobian(problem, state.point(start, free), free, stale=0.0)
+    if any(not f.is_nuisance for f in free):
+        matrix = jacobian(problem, state.point(start, free), free, both_sides=True)
     hessian = matrix.T @ matrix + np.diag(state.weight**2)
     covariance: Float = np.asarray(np.linalg.pinv(hessian)) if free else np.zeros((0, 0))
     residual = problem.measured - state.prediction

@@ -40,7 +40,7 @@ SIGNATURE_SEEDS = (201,)
 RANDOM_SEEDS = (201, 202)
 # a specimen's pattern (hot pixels, columns) is one draw: its expectation needs many; darks are cheap
 SPECIMEN_SEEDS = tuple(range(101, 113))
-SEEDS_OF_ROLE = {"dark": 12, "flat": 2}  # at most; 1 for all others
+SEEDS_OF_ROLE = {"dark": 12, "flat": 4}  # at most; 1 for all others
 NOISE_ROLES = ("dark", "flat")  # where noise itself is measured: means elsewhere do not feel it
 BASE_SEED = 7_000
 FLOOR = 0.15  # eigenvalues of a correlation matrix

@@ -92,8 +92,8 @@ class Effect:
     A subclass states its stable ``name``, ``stage``, the unit it acts on and gives, whether it draws
     random numbers per sensor or per frame, and implements `apply` (or `apply_scene` for the scene
     stage).  ``order`` sorts effects of one stage when a model puts one in; ``must_not_change`` names
-    the metric families it leaves alone; ``sparse`` says that its pattern is a few pixels of a specimen, so
-    that one draw says little of what to expect.  With every parameter at its null it must be the identity.
+    the metric families it leaves alone; ``few`` says that its pattern is a few pixels or lines of a specimen,
+    so that one draw says little of what to expect.  With every parameter at its null it must be the identity.
     """
 
     name: ClassVar[str] = ""
@@ -106,7 +106,7 @@ class Effect:
     reference: ClassVar[str] = ""
     candidate: ClassVar[bool] = True
     halo_px: ClassVar[int] = 0
-    sparse: ClassVar[bool] = False
+    few: ClassVar[Literal["", "pixels", "lines"]] = ""
     uses_mean_irradiance: ClassVar[bool] = False
 
     source: str = ""

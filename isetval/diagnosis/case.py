@@ -88,7 +88,7 @@ def holds(case: Case, found: Refit, tests: int, say: Say) -> bool:
 def rebase(case: Case, say: Say) -> None:
     """Predict and weigh anew at the model found so far, until it stands: variances grow with the effect."""
     keys = [key for found in case.named for key in found.candidate.keys]
-    drawn = any(found.candidate.effect.sparse for found in case.named)
+    drawn = any(found.candidate.effect.few for found in case.named)
     for turn in range(MAX_REBASES):
         model = named_model(case, case.named, case.fitted)
         if turn == 0:

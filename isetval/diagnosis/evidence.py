@@ -54,7 +54,7 @@ def refit(
     reach = np.maximum(np.abs(signature.steps) * 1.5, candidate.tau)
     value = np.clip(candidate.nominal + np.clip(estimate, -reach, reach), low, high)
     start = Point(start_model.with_values(dict(zip(candidate.keys, map(float, value), strict=True))), fitted.point.values)
-    share = 0.5 if candidate.effect.sparse else 0.2  # a few hot pixels more or less: only far steps count enough
+    share = 0.5 if candidate.effect.few == "pixels" else 0.2  # a few hot pixels more or less: only far steps count enough
     effect_steps = np.maximum(share * np.abs(value - candidate.nominal), 0.02 * candidate.tau)
     free = (
         *without_prior(fitted.free, candidate),

@@ -98,7 +98,7 @@ class HotPixels(Effect):
     acts_on = "electron"
     gives = "electron"
     random = "sensor"
-    sparse = True
+    few = "pixels"
     order = 24.0
     equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
     reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"

@@ -1,0 +1,84 @@
+"""Fits of problems that bend, in closed form: metrics that go as the square of the distance from focus."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from isetval.fit import Free, far_values, fit, jacobian, made_parallel
+from isetval.prediction import Base, Point
+from isetval.problem import Problem
+
+STOPS_UM = np.array([-8.0, 0.0, 8.0])
+FOCUS, SHIFT = "focus_um@measurement session:A[edge]", "edge_shift_px@set-up:e[edge]"
+SIGMA = 0.002
+
+
+class BentCamera:
+    """Contrast falls with the square of defocus; a shift of the edge tilts the three stops a little, and bends them."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def derivative_vectors(self, points, seeds, roles=None):
+        self.calls += len(points)
+        return [self.at(p.values.get(FOCUS, 0.0), p.values.get(SHIFT, 0.0)) for p in points]
+
+    @staticmethod
+    def at(focus, shift):
+        defocus = STOPS_UM + focus
+        rows = np.concatenate([np.exp(-((defocus / 12) ** 2)), np.exp(-((defocus / 6) ** 2)), [0.02 * shift]])
+        return rows + 0.003 * shift * np.sin(np.concatenate([defocus, defocus, [0.0]]))
+
+
+def problem(focus, shift):
+    camera = BentCamera()
+    rows = 2 * STOPS_UM.size + 1
+    base = Base(camera.at(0.0, 0.0), SIGMA**2 * np.eye(rows), np.zeros((16, rows)), np.ones(rows))
+    measured = camera.at(focus, shift)
+    whiten = np.eye(rows) / SIGMA
+    return Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(rows), whiten, base.mean, base.covariance)
+
+
+FREE = (Free(FOCUS, 0.5, 0.5), Free(SHIFT, 0.5, 0.5))
+
+
+@pytest.mark.parametrize("focus", [0.3, -2.0, 3.6])
+def test_a_focus_far_outside_its_prior_is_found(focus):
+    found = fit(problem(focus, 0.4), Point(SimpleNamespace()), FREE)
+    assert found.converged
+    # the prior of .5 um pulls by sigma^2 / .5^2 of the distance
+    assert found.value(FOCUS)[0] == pytest.approx(focus, abs=0.03)
+    assert found.value(SHIFT)[0] == pytest.approx(0.4, abs=0.1)
+    assert (FOCUS in far_values(found)) == (abs(focus) > 1.5)
+
+
+def test_derivatives_are_those_of_the_place_where_the_fit_ends():
+    bent = problem(3.6, 0.0)
+    found = fit(bent, Point(SimpleNamespace()), FREE)
+    z = found.value(FOCUS)[0] + STOPS_UM
+    true = np.concatenate([-2 * z / 144 * np.exp(-((z / 12) ** 2)), -2 * z / 36 * np.exp(-((z / 6) ** 2))]) / SIGMA
+    # finite steps of .5 um on both sides: a percent of the largest
+    np.testing.assert_allclose(found.jacobian[:6, 0], true, atol=0.03 * np.abs(true).max())
+
+
+def test_columns_that_have_not_moved_are_not_taken_again():
+    flat = problem(0.1, 0.1)
+    jacobian(flat, Point(SimpleNamespace()), FREE)
+    calls = flat.predictor.calls
+    jacobian(flat, Point(SimpleNamespace(), {FOCUS: 0.2, SHIFT: 0.1}), FREE)
+    assert flat.predictor.calls == calls + 1  # the point itself
+    jacobian(flat, Point(SimpleNamespace(), {FOCUS: 1.2, SHIFT: 0.1}), FREE)
+    assert flat.predictor.calls > calls + 2
+
+
+def test_an_effect_that_imitates_focus_becomes_parallel_to_it_where_it_acts():
+    bent = problem(0.0, 0.0)
+    slope = np.array([1.0, 2.0, -1.0, 0.5, 0.0, 0.0, 0.0])
+    nearly = 0.7 * slope + np.array([0.004, -0.003, 0.005, 0.002, 0.3, 0.0, 0.0])
+    made = made_parallel(bent, nearly, [slope])
+    assert made[:4] == pytest.approx(slope[:4] * made[0], rel=1e-12)
+    assert made[0] == pytest.approx(0.7, abs=0.005)
+    assert made[4] == nearly[4]
+    other = np.array([1.0, -2.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(made_parallel(bent, other, [slope]), other)
