@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from isetval.core.effect import Effect, ParameterInfo
 from isetval.effects import catalogue
-from isetval.fit import Fit, Free, is_focus, made_parallel
+from isetval.fit import Fit, Free, far_values, is_focus, made_parallel
 from isetval.model import CameraModel
 from isetval.prediction import NOISE_ROLES, RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 from isetval.problem import Problem
 
 Float = NDArray[np.float64]
 STRONG, WANTED = 80.0, 50.0
+ALIKE, ALIGNMENTS = 0.9, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +129,42 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
 
 
 def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Signature]:
-    """Signatures made parallel to the focus errors that they imitate; see `isetval.fit.made_parallel`."""
+    """Signatures made parallel to the focus errors that they imitate; see `isetval.fit.made_parallel`.
+
+    Far from zero a secant of one parameter that looks like a focus error is first taken again from both sides,
+    in steps that change as much as those of the focus do.
+    """
     focus = [problem.columns[f.key].slope for f in fitted.free if is_focus(f)]
-    columns = [np.column_stack([made_parallel(problem, column, focus) for column in s.columns.T]) for s in made]
-    return [replace(s, columns=c) for s, c in zip(made, columns, strict=True)]
+    out = list(made)
+    for key in far_values(fitted):
+        step = next(f.step for f in fitted.free if f.key == key)
+        column = problem.whitened(problem.columns[key].slope * step)
+        out = [_like_focus(problem, fitted.point, s, column) if len(s.steps) == 1 else s for s in out]
+    columns = [np.column_stack([made_parallel(problem, column, focus) for column in s.columns.T]) for s in out]
+    return [replace(s, columns=c) for s, c in zip(out, columns, strict=True)]
+
+
+def _like_focus(problem: Problem, point: Point, signature: Signature, column: Float) -> Signature:
+    rows, length = column != 0, float(np.linalg.norm(column))
+    for _ in range(ALIGNMENTS):
+        part = problem.whitened(signature.columns[:, 0] * signature.steps[0])[rows]
+        size = float(np.linalg.norm(part))
+        if size == 0 or abs(float(part @ column[rows])) < ALIKE * size * length:
+            break
+        signature = _both_sides(problem, point, signature, signature.steps[0] * length / size)
+    return signature
+
+
+def _both_sides(problem: Problem, point: Point, signature: Signature, step: float) -> Signature:
+    """The derivative from both sides, or the signature as it is where the parameter has only one."""
+    candidate = signature.candidate
+    value, low, high = candidate.nominal[0], candidate.parameters[0].low, candidate.parameters[0].high
+    if not (low <= value - abs(step) and value + abs(step) <= high):
+        return signature
+    model = candidate.model_with(point.model)
+    points = [Point(model.with_values({candidate.keys[0]: value + h}), point.values) for h in (step, -step)]
+    up, down = problem.predictor.derivative_vectors(points, problem.seeds)
+    return Signature(candidate, np.nan_to_num((up - down) / (2 * step))[:, None], np.array([step]))
 
 
 def _profiled(problem: Problem, columns: Float, project: Float) -> Float:
