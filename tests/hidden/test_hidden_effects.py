@@ -16,8 +16,8 @@ SHARE_THAT_MUST_HOLD = 0.9
 
 
 @pytest.mark.parametrize("name", [*DEFAULT_EFFECTS, *DEFAULT_NULLS, *DEFAULT_OUTSIDERS])
-def test_trial_of_the_default_run(name, outcome_of):
-    outcome = outcome_of(name, short=True)
+def test_trial_of_the_default_run(name, short_outcomes):
+    outcome = short_outcomes[name]
     assert outcome.holds, outcome.why
 
 
