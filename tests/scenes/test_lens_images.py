@@ -166,24 +166,24 @@ def edge_line(image):
     return np.polyfit(np.arange(len(image)), crossing, 1)
 
 
-def both(spec, view, crop, spp, subsample=2):
-    b = ray_space_irradiance(spec, view, camera=CAMERA, crop=crop, wavelength_nm=BANDS, spp=spp, seed=1)
+def both(spec, view, crop, spp, subsample=2, bands=BANDS):
+    b = ray_space_irradiance(spec, view, camera=CAMERA, crop=crop, wavelength_nm=bands, spp=spp, seed=1)
     camera = pupil_camera(view, CAMERA, subsample=subsample)
     place = pupil_crop(view, CAMERA, crop, subsample=subsample, halo_px=32)
     made = render(
-        spec, camera=camera, crop=place, wavelength_nm=BANDS, spp=spp // 16, seed=2, variant="auto"
+        spec, camera=camera, crop=place, wavelength_nm=bands, spp=spp // 16, seed=2, variant="auto"
     )  # the blur averages
     a = image_space_irradiance(made, view, camera=CAMERA, crop=crop, subsample=subsample, halo_px=32, diffraction=False)
     return (out.irradiance.mean(axis=0, dtype=float) for out in (a, b))
 
 
-def agreement(lens, film_mm, crop, depth_m, spp=4096):
+def agreement(lens, film_mm, crop, depth_m, spp=4096, bands=BANDS):
     """(relative difference of the mean irradiance of a plane, largest difference of the edge's MTF up to Nyquist)."""
     view = lens_view(lens, film_mm=film_mm, reach_mm=3.6)
     plane = scene([rectangle("plane", translate(0, 0, 0.5 - depth_m), size_m=(3, 3), reflectance="light")])
-    a, b = both(plane, view, crop, spp // 4)
+    a, b = both(plane, view, crop, spp // 4, bands=bands)
     level = a.mean() / b.mean() - 1
-    a, b = both(edge_scene(view, crop, depth_m), view, crop, spp)
+    a, b = both(edge_scene(view, crop, depth_m), view, crop, spp, bands=bands)
     line = edge_line(b)
     (f, found), (_, expected) = slanted_edge_mtf(a, line), slanted_edge_mtf(b, line)
     return level, np.abs(found - expected)[f <= 0.5].max()
