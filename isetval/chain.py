@@ -209,16 +209,16 @@ def _field_means(model: CameraModel, effects: tuple[Effect, ...], setup: ShotSet
 
 
 def electronics(
-    model: CameraModel, mean: NDArray[Any], context: Context, *, threads: int = 1, levels: bool = True
+    model: CameraModel, mean: NDArray[Any], context: Context, *, factor: float = 1.0, threads: int = 1
 ) -> NDArray[Any]:
-    """One frame's DN, (rows, cols), from mean photo-electrons.
+    """One frame's DN, (rows, cols), from mean photo-electrons times ``factor``.
 
     Runs of effects without a halo go block by block (rows of the full-sensor grid, one stream per
     block: the bits depend neither on ``threads`` nor on the other effects); an effect with a halo
     sees the whole window.
     """
     dtype = np.float32 if context.mode == "capture" else np.float64
-    charge = np.array(mean, dtype=dtype)[None]
+    charge = np.multiply(mean, factor, out=np.empty(mean.shape, dtype), casting="same_kind")[None]
     unit = "electron"
     effects = [(e, n) for e, n in zip(model.effects, occurrences(model.effects), strict=True) if e.stage not in FRONT]
     while effects:

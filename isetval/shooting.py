@@ -192,7 +192,7 @@ def expose(
         before = np.full((1, 1), previous) if frame == 0 else mean
         factor = 1.0 if frame_factors is None else frame_factors[frame]
         own = replace(context, frame=frame, previous=before, poisson_gaussian=gaussian)
-        dn = electronics(model, mean if factor == 1.0 else mean * factor, own, threads=threads)
+        dn = electronics(model, mean, own, factor=float(factor), threads=threads)
         if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
             dn = dn + stream(seed, word("dither"), word(shot.name), frame).random(dn.shape) - 0.5
         frames.append(_capture(model, setup, dn, seed, frame))
@@ -201,7 +201,8 @@ def expose(
 
 def _capture(model: CameraModel, setup: ShotSetup, dn: NDArray[Any], seed: int, frame: int) -> Capture:
     shot = setup.shot
-    codes = np.clip(np.rint(dn), 0, 65535).astype(np.uint16)
+    np.rint(dn, out=dn)
+    codes = np.clip(dn, 0, 65535, out=dn).astype(np.uint16)
     provenance = {"maker": "isetval", "model": model.name, "shot": shot.name, "seed": seed, "frame": frame}
     row0, col0 = (shot.window or (0, 0))[:2]
     return Capture(codes, model.sensor, (row0, col0), stored_exposure(shot.exposure), provenance)
