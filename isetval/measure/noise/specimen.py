@@ -14,7 +14,8 @@ def specimen_loadings(shot: Shot, capture: Capture, plane: str, statistics: Plan
     """Labels of the random numbers in a quantity of one plane, and how much of its sigma each makes.
 
     Pixels belong to their plane and, dark or lit, to another pattern (offsets, gains).  A row's offset is the
-    same in both planes that lie on it, in darks and in flats, at every exposure; likewise a column's.
+    same in both planes that lie on it, in darks and in flats, at every exposure; likewise a column's.  Only the
+    lines' variances tie flats to darks: of a flat's mean and rise the light makes more than any line.
     """
     quantity = statistics[key]
     if not quantity.shared > 0:
@@ -22,9 +23,10 @@ def specimen_loadings(shot: Shot, capture: Capture, plane: str, statistics: Plan
     view, (row, col), _ = plane_view(capture, plane)
     row0, col0, height, width = shot.window or (0, 0, *capture.mosaic.shape)
     name = key.removesuffix("_dn2").removesuffix("_dn")
+    kind = name if name.startswith("fixed") else f"{shot.role} {name}"
     lines = {
-        f"row:{name}:{(row0 + row) % 2}:{row0},{height}": _of_lines(key, "row", statistics, view.shape[0]),
-        f"column:{name}:{(col0 + col) % 2}:{col0},{width}": _of_lines(key, "column", statistics, view.shape[1]),
+        f"row:{kind}:{(row0 + row) % 2}:{row0},{height}": _of_lines(key, "row", statistics, view.shape[0]),
+        f"column:{kind}:{(col0 + col) % 2}:{col0},{width}": _of_lines(key, "column", statistics, view.shape[1]),
     }
     whole = math.hypot(*lines.values())
     shrink = min(1.0, quantity.shared / whole) if whole > 0 else 1.0
