@@ -5,14 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
-import warnings
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
 
-HERE = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parents[1])]
-sys.path[:0] = HERE
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 
 @pytest.fixture(scope="session")
@@ -33,26 +32,15 @@ def outcome_of(tmp_path_factory):
 @pytest.fixture(scope="session")
 def short_outcomes(request, tmp_path_factory):
     """Outcomes by name of the trials that this run selects, on the short plan, two at a time."""
+    from trials import short_trial, strict_worker
+
     names = [item.callspec.params["name"] for item in request.session.items if "short_outcomes" in item.fixturenames]
     folders = [tmp_path_factory.mktemp(name) for name in names]
     threads = {key: os.environ.get(key) for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     os.environ.update(dict.fromkeys(threads, "1"))  # read by the workers when they start
     try:
-        with ProcessPoolExecutor(
-            2, mp_context=multiprocessing.get_context("spawn"), initializer=_ready, initargs=(HERE,)
-        ) as pool:
-            return dict(zip(names, pool.map(_short_trial, names, folders), strict=True))
+        with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn"), initializer=strict_worker) as pool:
+            return dict(zip(names, pool.map(short_trial, names, folders), strict=True))
     finally:
         for key, value in threads.items():
             os.environ.pop(key) if value is None else os.environ.update({key: value})
-
-
-def _ready(folders):
-    sys.path[:0] = folders
-    warnings.simplefilter("error")
-
-
-def _short_trial(name, folder):
-    from trials import run_trial
-
-    return run_trial(name, folder, short=True)

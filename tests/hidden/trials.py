@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -55,6 +56,16 @@ def run_trial(name, folder, *, seed_shift=0, short=False, say=None):
     found = isetval.diagnose(model, campaign, with_next_captures=False, say=say)
     held = _held_out(trial, model, campaign, found) if found.effects else {}
     return judge(trial, found, held, seconds=time.perf_counter() - start)
+
+
+def short_trial(name, folder):
+    """A trial on the short plan, for a worker process."""
+    return run_trial(name, folder, short=True)
+
+
+def strict_worker():
+    """Warnings are errors in a worker too."""
+    warnings.simplefilter("error")
 
 
 def oracle(trial: Trial, model):
