@@ -194,6 +194,11 @@ def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
         Parameters start at the point's own values.
     free : sequence of Free
 
+    Raises
+    ------
+    InputError
+        If nothing can be simulated at the start.
+
     Notes
     -----
     Levenberg-Marquardt as a trust region of so many prior sigmas (More 1978): edges bend with focus, so
@@ -213,7 +218,10 @@ def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
             break
         if moved.cost < state.cost:
             state, failures = moved, 0
-            radius = length / 2 if kept < 0.25 else max(radius, 2 * length) if kept > 0.75 else radius
+            if kept < 0.25:
+                radius = length / 2
+            elif kept > 0.75:
+                radius = max(radius, 2 * length)
             matrix = jacobian(problem, state.point(start, free), free)
         else:
             failures += 1

@@ -18,7 +18,7 @@ from isetval.problem import Problem
 
 Float = NDArray[np.float64]
 STRONG, WANTED = 80.0, 50.0
-ALIKE, ALIGNMENTS = 0.9, 3
+LIKE_FOCUS, ALIGNMENTS = 0.9, 3  # cosine, times
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ def _like_focus(problem: Problem, point: Point, signature: Signature, column: Fl
     for _ in range(ALIGNMENTS):
         part = problem.whitened(signature.columns[:, 0] * signature.steps[0])[rows]
         size = float(np.linalg.norm(part))
-        if size == 0 or abs(float(part @ column[rows])) < ALIKE * size * length:
+        if size == 0 or abs(float(part @ column[rows])) < LIKE_FOCUS * size * length:
             break
         signature = _both_sides(problem, point, signature, signature.steps[0] * length / size)
     return signature
