@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 
 from isetval import Capture, load_model, simulate
+from isetval.app.plots.box import capture_sheet, display, half_size_rgb
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.scene import RenderedTarget
 from isetval.core.sensor import Exposure, Sensor
-from isetval.plots.box import capture_sheet, display, half_size_rgb
+from isetval.core.toml import read_toml
 from isetval.scenes import load_scene
-from isetval.scenes.placing import project_px
-from isetval.tomlfile import read_toml
+from isetval.scenes.render.placing import project_px
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "data" / "scenes" / "cornell_box.toml"

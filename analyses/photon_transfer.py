@@ -339,7 +339,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def figure(path: Path, seed: int) -> None:
     """Curve, residuals and fixed pattern of one simulated series."""
-    from isetval.plots.noise import transfer_figure
+    from isetval.app.plots.noise import transfer_figure
 
     rng = np.random.default_rng([seed, 500])
     camera = Specimen(rng, (128, 128), bend=0.05)

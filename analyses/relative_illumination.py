@@ -233,7 +233,7 @@ def main() -> None:
     if args.json:
         args.json.write_text(json.dumps({"rows": rows, "time_ratio": ours / plain, "phone": phone}, indent=1) + "\n")
     if args.figure:
-        from isetval.plots.shading import falloff_figure
+        from isetval.app.plots.shading import falloff_figure
 
         shape = {"design": (np.linspace(0, 3.5, 200), zemax()(np.linspace(0, 3.5, 200)))} if zemax() else {}
         falloff_figure(result, predictions=shape).savefig(args.figure)

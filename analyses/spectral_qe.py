@@ -234,7 +234,7 @@ def main() -> None:
     if args.json:
         args.json.write_text(json.dumps(out, indent=1) + "\n")
     if args.figure:
-        from isetval.plots.color import qe_figure
+        from isetval.app.plots.color import qe_figure
 
         nm, qe, spectra = source or made_up(np.random.default_rng(args.seed))
         predicted = exposed(nm, qe, spectra)

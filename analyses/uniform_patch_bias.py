@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 import isetval
+from isetval.app.plots.noise import bias_figure
 from isetval.measure import uniform_patches
-from isetval.plots.noise import bias_figure
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared" / "data"

@@ -1,12 +1,12 @@
 """isetval: a ruler and a detective for camera models."""
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
+from isetval.core.version import VERSION
 
-__version__ = "0.1.0"
-
+__version__ = VERSION
 _NAMES = {
     "Campaign": "isetval.core.campaign",
-    "CameraModel": "isetval.model",
+    "CameraModel": "isetval.camera.model",
     "Capture": "isetval.core.capture",
     "Effect": "isetval.core.effect",
     "Exposure": "isetval.core.sensor",
@@ -16,17 +16,17 @@ _NAMES = {
     "Sensor": "isetval.core.sensor",
     "Shot": "isetval.core.campaign",
     "Signal": "isetval.core.signal",
-    "compare": "isetval.comparison",
-    "diagnose": "isetval.diagnosis",
-    "identify": "isetval.diagnosis",
-    "load_campaign": "isetval.campaignfile",
-    "load_model": "isetval.modelfile",
+    "compare": "isetval.loop.comparison",
+    "diagnose": "isetval.loop",
+    "identify": "isetval.loop",
+    "load_campaign": "isetval.files.campaign_file",
+    "load_model": "isetval.camera.model_file",
     "measure": "isetval.measure",
     "measure_campaign": "isetval.measure.campaign",
-    "read_dng": "isetval.dng",
-    "simulate": "isetval.shooting",
+    "read_dng": "isetval.files.dng",
+    "simulate": "isetval.camera.shooting",
     "testing": "isetval.testing",
-    "write_dng": "isetval.dng",
+    "write_dng": "isetval.files.dng",
 }
 __all__ = sorted(_NAMES)
 __getattr__, __dir__ = lazy_names(__name__, _NAMES)

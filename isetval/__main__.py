@@ -1,6 +1,6 @@
 """``python -m isetval`` is the command line."""
 
-from isetval.cli import main
+from isetval.app.cli import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.campaignwriter import write_campaign
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.paths import data_folder
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
-from isetval.tomlfile import data_folder
+from isetval.files.campaign_writer import write_campaign
 
 GRID = np.array([390.0, 470.0, 550.0, 630.0, 710.0])
 
@@ -204,7 +204,7 @@ def test_examples_of_the_readme_are_read(tmp_path):
     (tmp_path / "campaign.toml").write_text(campaign)
     found = isetval.load_campaign(tmp_path)
     assert [s.role for s in found.shots] == ["flat", "edge", "edge"]
-    from isetval.limits import load_limits
+    from isetval.app.limits import load_limits
 
     (tmp_path / "limits.toml").write_text(limits)
     assert load_limits(tmp_path / "limits.toml")[0].low == 0.25

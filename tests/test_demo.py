@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.cli import main
-from isetval.demo import HIDDEN, draw_hidden, run_demo
-from isetval.tomlfile import data_folder
+from isetval.app.cli import main
+from isetval.app.demo import HIDDEN, draw_hidden, run_demo
+from isetval.core.paths import data_folder
 
 SMALL = (1464, 1968, 48, 48)
 

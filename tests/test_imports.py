@@ -19,7 +19,7 @@ def _child(code):
 
 
 @pytest.mark.parametrize(
-    "statement", ["import isetval", "from isetval.cli.parser import build_parser; build_parser().format_help()"]
+    "statement", ["import isetval", "from isetval.app.cli.parser import build_parser; build_parser().format_help()"]
 )
 def test_importing_and_help_are_quick_and_load_nothing_heavy(statement):
     code = f"""
@@ -66,7 +66,7 @@ def refuse(*args, **more):
     raise OSError("no network in this test")
 socket.socket = refuse
 import numpy as np, isetval
-from isetval.cli import main
+from isetval.app.cli import main
 rng = np.random.default_rng(0)
 isetval.write_dng({str(tmp_path / "a.dng")!r}, isetval.Capture.from_array(rng.integers(60, 200, (64, 64))))
 code = main(["measure", {str(tmp_path / "a.dng")!r}, "--quiet", "-o", {str(tmp_path / "m.json")!r}])

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
 from isetval.core.context import Context
 from isetval.core.errors import InputError
+from isetval.core.hashing import remembered_file_hash
 from isetval.core.scene import Scene
 from isetval.core.signal import Signal
 
@@ -73,13 +72,7 @@ def _file_content(base: str, file: str) -> str:
     path = Path(base) / file
     if not file or ":" in file or not path.is_file():
         return file
-    status = path.stat()
-    return _hashed(str(path), status.st_mtime_ns, status.st_size)
-
-
-@lru_cache(maxsize=256)
-def _hashed(path: str, modified_ns: int, size: int) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return remembered_file_hash(path)
 
 
 EffectType = TypeVar("EffectType", bound="Effect")

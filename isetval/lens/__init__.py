@@ -1,6 +1,6 @@
 """Lenses as ray-transfer functions: tracing, illumination, focus, PSF, diffraction, and an audit of lens files."""
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "LensAudit": "isetval.lens.auditing",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from isetval.core.errors import InputError
+from isetval.core.hashing import file_hash
 from isetval.lens.contradictions import Findings, Flag, find_flags
 from isetval.lens.evidence import entrance_pupil, ray_jacobian
 from isetval.lens.focus import axial_color_um, film_for_object, object_for_film
@@ -197,7 +197,7 @@ def _measured(lens: RayTransferLens, facts: StatedFacts, corner_mm: float, file:
 def audit_file(path: str | Path, **stated: Any) -> LensAudit:
     """Audit an ISET ray-transfer JSON; keyword arguments as in `audit`."""
     lens = load_lens(path)
-    digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    digest = file_hash(path)
     return audit(lens, file=Path(path).name, sha256=digest, **stated)
 
 

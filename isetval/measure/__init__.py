@@ -1,6 +1,6 @@
 """The ruler: analyses of captures.  Knows no model, no effect and no file format."""
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "chart": "isetval.measure.color",

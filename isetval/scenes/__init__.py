@@ -1,28 +1,28 @@
 """Scenes: analytic targets, and the spectral Cornell box rendered by Mitsuba 3.
 
-Only :mod:`isetval.scenes.mitsuba_backend` imports Mitsuba, and only after the variant is chosen.
+Only :mod:`isetval.scenes.render.mitsuba_backend` imports Mitsuba, and only after the variant is chosen.
 """
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
 
 _NAMES = {
-    "BoxParameters": "isetval.scenes.box",
-    "Irradiance": "isetval.scenes.passes",
-    "NoiseTarget": "isetval.scenes.passes",
-    "Render": "isetval.scenes.passes",
-    "below_shot_noise": "isetval.scenes.budget",
-    "choose_variant": "isetval.scenes.variants",
-    "cornell_box": "isetval.scenes.box",
-    "electrons_per_radiance": "isetval.scenes.budget",
-    "image_space_irradiance": "isetval.scenes.image_space",
-    "lens_view": "isetval.scenes.views",
-    "load_scene": "isetval.scenes.scenefile",
-    "parse_scene": "isetval.scenes.scenefile",
-    "pupil_camera": "isetval.scenes.views",
-    "pupil_crop": "isetval.scenes.views",
-    "ray_space_irradiance": "isetval.scenes.ray_space",
-    "render": "isetval.scenes.rendering",
-    "wall_camera": "isetval.scenes.box",
+    "BoxParameters": "isetval.scenes.render.box",
+    "Irradiance": "isetval.scenes.render.render_passes",
+    "NoiseTarget": "isetval.scenes.render.render_passes",
+    "Render": "isetval.scenes.render.render_passes",
+    "below_shot_noise": "isetval.scenes.render.noise_budget",
+    "choose_variant": "isetval.scenes.render.variants",
+    "cornell_box": "isetval.scenes.render.box",
+    "electrons_per_radiance": "isetval.scenes.render.noise_budget",
+    "image_space_irradiance": "isetval.scenes.through_lens.image_space",
+    "lens_view": "isetval.scenes.render.lens_view",
+    "load_scene": "isetval.scenes.render.scene_file",
+    "parse_scene": "isetval.scenes.render.scene_file",
+    "pupil_camera": "isetval.scenes.render.lens_view",
+    "pupil_crop": "isetval.scenes.render.lens_view",
+    "ray_space_irradiance": "isetval.scenes.through_lens.ray_space",
+    "render": "isetval.scenes.render.rendering",
+    "wall_camera": "isetval.scenes.render.box",
 }
 __all__ = sorted(_NAMES)
 __getattr__, __dir__ = lazy_names(__name__, _NAMES)

@@ -17,10 +17,10 @@ import tracemalloc
 import numpy as np
 
 import isetval
-from isetval.chain import ShotSetup
+from isetval.camera.chain import ShotSetup
+from isetval.camera.exposing import expose
 from isetval.core.campaign import Exposure, Shot
-from isetval.shooting import expose
-from isetval.tomlfile import data_folder
+from isetval.core.paths import data_folder
 
 REPEATS = 5
 READ_E, DSNU_E, PRNU, DARK_E, GAIN, WELL_E = 2.954, 0.497, 0.0054, 0.261, 0.1707, 6000.0

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.cli import main
+from isetval.app.cli import main
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.paths import data_folder
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
-from isetval.tomlfile import data_folder
 
 WINDOW = (1464, 1968, 32, 32)
 
@@ -41,7 +41,7 @@ def plan(nominal):
 @pytest.fixture(scope="session")
 def lab(nominal, plan, tmp_path_factory):
     """A campaign folder shot by the nominal camera."""
-    from isetval.campaignwriter import write_campaign
+    from isetval.files.campaign_writer import write_campaign
 
     folder = tmp_path_factory.mktemp("lab") / "captures"
     return write_campaign(isetval.simulate(nominal, plan, 5), folder, model=nominal)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from isetval.pytest_plugin import MetricCheck
+from isetval.testing.pytest_plugin import MetricCheck
 
 Failed = pytest.fail.Exception
 

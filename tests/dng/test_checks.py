@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from isetval import Capture, read_dng
-from isetval.dng import describe_capture, write_dng
-from isetval.dng.checks import bad_pixels, clipping, code_use, line_remarks
+from isetval.files.dng import describe_capture, write_dng
+from isetval.files.dng.checks import bad_pixels, clipping, code_use, line_remarks
 
 ROWS, COLS = 120, 160
 

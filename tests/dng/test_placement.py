@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isetval import Capture, InputError, Sensor, read_dng
-from isetval.dng import place_on_sensor, write_dng
+from isetval.files.dng import place_on_sensor, write_dng
 
 SENSOR = Sensor(100, 120, 1.12, "GRBG", [[63.75, 64.25], [64.5, 63.9]], 1023, 10)
 

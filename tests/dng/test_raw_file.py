@@ -5,7 +5,7 @@ import pytest
 from dng_files import random_mosaic
 
 from isetval import Exposure, InputError
-from isetval.dng import read_raw
+from isetval.files.dng import read_raw
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from dng_files import TiffBuilder, bayer_tags, lossless_jpeg, packed, random_mos
 
 import isetval
 from isetval import read_dng
-from isetval.dng import gain_maps
+from isetval.files.dng import gain_maps
 
 SHAPE = (40, 50)
 

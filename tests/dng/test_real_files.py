@@ -9,7 +9,7 @@ import pytest
 import rawpy
 
 from isetval import InputError, read_dng
-from isetval.dng import describe_capture, describe_file, read_raw
+from isetval.files.dng import describe_capture, describe_file, read_raw
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="../shared/data/real is not beside this checkout")

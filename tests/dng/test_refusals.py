@@ -11,7 +11,7 @@ from dng_files import lossless_jpeg, random_mosaic
 
 import isetval
 from isetval import InputError, read_dng
-from isetval.dng import write_dng
+from isetval.files.dng import write_dng
 
 
 def refused(path, *words, **options):
@@ -174,7 +174,7 @@ def test_optical_black_asked_for_where_there_is_none(make_dng):
 
 def test_shape_disagreement(make_dng, monkeypatch):
     """A decoder that returns another frame than the tags promise."""
-    monkeypatch.setattr("isetval.dng.decoding.decode_plain", lambda path, tags: np.zeros((39, 50), np.uint16))
+    monkeypatch.setattr("isetval.files.dng.decoding.decode_plain", lambda path, tags: np.zeros((39, 50), np.uint16))
     refused(make_dng(), "39 x 50", "40 x 50")
 
 

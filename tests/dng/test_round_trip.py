@@ -9,8 +9,9 @@ import pytest
 import rawpy
 
 import isetval
+from isetval.core.rational import as_rational_time
 from isetval.core.sensor import BAYER_PATTERNS, black_at, pattern_at
-from isetval.dng import DngInfo, as_rational_time, noise_profile, simulation_info, write_dng
+from isetval.files.dng import DngInfo, noise_profile, simulation_info, write_dng
 
 BLACKS = [[63.75, 64.25], [64.5, 63.9]]
 

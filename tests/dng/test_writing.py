@@ -9,7 +9,7 @@ import pytest
 
 from isetval import Capture, Exposure, InputError, Sensor, read_dng
 from isetval.core.sensor import BAYER_PATTERNS
-from isetval.dng import DngInfo, write_dng
+from isetval.files.dng import DngInfo, write_dng
 
 MOSAIC = np.random.default_rng(9).integers(0, 1024, (31, 45)).astype(np.uint16)
 FULL = DngInfo(

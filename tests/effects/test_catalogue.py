@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import isetval.effects as effects
+from isetval.camera.model import occurrences
+from isetval.camera.model_file import load_model
 from isetval.core.context import Context
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.sensor import Exposure
 from isetval.core.signal import Signal
-from isetval.model import occurrences
-from isetval.modelfile import load_model
 from isetval.testing import check_effect
 
 DATA = Path(__file__).parents[2] / "data" / "pixel4a"

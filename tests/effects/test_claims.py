@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isetval.chain import ShotSetup, electronics, make_context, mean_electrons
+from isetval.camera.chain import ShotSetup, electronics, make_context, mean_electrons
+from isetval.camera.model_file import load_model
 from isetval.core.campaign import Light, Shot
 from isetval.core.scene import EdgeTarget
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
 from isetval.effects import catalogue
-from isetval.modelfile import load_model
 
 DATA = Path(__file__).parents[2] / "data" / "pixel4a"
 LIGHT = Light("A", Spectrum(np.array([390.0, 710.0]), np.array([0.001, 0.004])))

@@ -14,7 +14,7 @@ from foreign_camera import optics, plan, scene, sensor, spectra
 from foreign_camera.truths import EFFECTS, OUTSIDERS, TRIALS
 
 import isetval
-from isetval.chain import ShotSetup, mean_electrons
+from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.effects import catalogue
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "pixel4a"

@@ -125,7 +125,7 @@ def test_a_lens_of_circles_and_one_without_any_focus_are_audited_too() -> None:
 
 
 def test_the_command_takes_stated_focus(capsys) -> None:
-    from isetval.cli import main
+    from isetval.app.cli import main
     from isetval.lens.stored import data_folder
 
     lens = str(data_folder() / "default_lens.json")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from lens_models import thin_lens
 
+from isetval.app.plots.lens import audit_figure, focus_figure, mtf_figure, spot_figure
 from isetval.lens.auditing import audit
 from isetval.lens.stored import default_lens
-from isetval.plots.lens import audit_figure, focus_figure, mtf_figure, spot_figure
 
 
 def test_audit_figure_shows_the_audits_curves() -> None:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from isetval.diagnosis.evidence import PROBABILITY_CAP, class_posterior, posteriors
+from isetval.loop.evidence import PROBABILITY_CAP, class_posterior, posteriors
 
 
 def candidate(log_evidence, parameters=1):

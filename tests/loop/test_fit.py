@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from isetval.fit import Free, far_values, fit, jacobian, made_parallel
-from isetval.prediction import Base, Point
-from isetval.problem import Problem
+from isetval.loop.fit import Free, far_values, fit, jacobian, made_parallel
+from isetval.loop.prediction import Base, Point
+from isetval.loop.problem import Problem
 
 STOPS_UM = np.array([-8.0, 0.0, 8.0])
 FOCUS, SHIFT = "focus_um@measurement session:A[edge]", "edge_shift_px@set-up:e[edge]"

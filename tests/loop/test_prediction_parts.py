@@ -7,18 +7,18 @@ import pytest
 from scipy.special import erf
 
 from isetval import load_model, simulate
-from isetval.chain import ShotSetup, electronics, make_context, mean_electrons
+from isetval.camera.chain import ShotSetup, electronics, make_context, mean_electrons
+from isetval.camera.shooting import draw_nuisances
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.errors import InputError
+from isetval.core.paths import data_folder
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
-from isetval.diagnosis.profile import Frame, cosine, score
 from isetval.effects import catalogue
+from isetval.loop.score_test import Frame, cosine, score
 from isetval.scenes.pictures import SpectralPicture
 from isetval.scenes.planar import StraightEdge
-from isetval.shooting import draw_nuisances
-from isetval.tomlfile import data_folder
 
 WINDOW = (1464, 1968, 96, 96)
 LIGHT = Light("sphere", Spectrum.flat(0.004))
@@ -93,8 +93,8 @@ def test_photons_of_a_flat_follow_the_closed_form(model):
     bare = model.without("cos4")
     mean = mean_electrons(bare, ShotSetup(flat(), LIGHT))
     qe = bare.effect("quantum_efficiency")
+    from isetval.core.paths import resolve_path
     from isetval.core.spectrum import read_spectra
-    from isetval.tomlfile import resolve_path
 
     table = read_spectra(resolve_path(qe.file, bare.path.parent))
     irradiance = np.pi * 0.004 / (4 * 1.73**2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isetval.core.metric import Metric
-from isetval.prediction import Predictor
+from isetval.loop.prediction import Predictor
 
 ROWS, REPLICAS = 200, 40
 FREQUENCIES = 10

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from isetval.core.metric import Metric
-from isetval.diagnosis.profile import Frame
-from isetval.diagnosis.templates import Second, family_excess, findings
+from isetval.loop.score_test import Frame
+from isetval.loop.unknown import Second, family_excess, findings
 
 N = 40
 RADIUS_MM = np.linspace(0.0, 3.0, N)

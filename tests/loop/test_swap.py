@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.diagnosis.candidates import Signature, candidates_for
-from isetval.diagnosis.case import Case
-from isetval.diagnosis.evidence import log_hessian, refit
-from isetval.diagnosis.profile import make_frame, score
-from isetval.diagnosis.swap import swap
-from isetval.fit import fit
-from isetval.prediction import Base, Point
-from isetval.problem import Problem
+from isetval.loop.candidates import Signature, candidates_for
+from isetval.loop.evidence import log_hessian, refit
+from isetval.loop.fit import fit
+from isetval.loop.investigation import Case
+from isetval.loop.prediction import Base, Point
+from isetval.loop.problem import Problem
+from isetval.loop.replacement import swap
+from isetval.loop.score_test import make_frame, score
 
 ROWS = 6
 MIXED = np.array([1.0, 1.0, 0.5, 0, 0, 0]) / 1.5
@@ -64,7 +64,7 @@ def case():
 
 
 def isetval_data():
-    from isetval.tomlfile import data_folder
+    from isetval.core.paths import data_folder
 
     return data_folder() / "pixel4a"
 

@@ -10,9 +10,9 @@ import pytest
 from isetval import load_campaign, load_model, measure_campaign, simulate
 from isetval.core.campaign import Shot
 from isetval.core.errors import InputError
+from isetval.core.paths import data_folder
 from isetval.core.scene import ChartTarget
 from isetval.measure.patchsummary import patch_summary
-from isetval.tomlfile import data_folder
 
 sys.path.insert(0, str(Path(__file__).parent / "noise"))
 from noise_camera import DSNU_E, GAIN, PRNU, READ_E, NoiseCamera

@@ -8,8 +8,8 @@ import subprocess
 import numpy as np
 import pytest
 
+from isetval.app.report import report_html, write_report
 from isetval.core.errors import InputError
-from isetval.report import report_html, write_report
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 

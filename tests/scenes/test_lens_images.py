@@ -8,12 +8,12 @@ from isetval.core.errors import InputError
 from isetval.lens.polynomials import OutputPolynomial, RayPolynomials
 from isetval.lens.ray_transfer import WavelengthTable
 from isetval.scenes import wall_camera
-from isetval.scenes.image_space import image_space_irradiance
-from isetval.scenes.passes import Render
-from isetval.scenes.placing import edge_target, rectangle, translate
-from isetval.scenes.ray_space import ray_space_irradiance
-from isetval.scenes.rendering import render
-from isetval.scenes.views import lens_view, pupil_camera, pupil_crop
+from isetval.scenes.render.lens_view import lens_view, pupil_camera, pupil_crop
+from isetval.scenes.render.placing import edge_target, rectangle, translate
+from isetval.scenes.render.render_passes import Render
+from isetval.scenes.render.rendering import render
+from isetval.scenes.through_lens.image_space import image_space_irradiance
+from isetval.scenes.through_lens.ray_space import ray_space_irradiance
 
 pytestmark = pytest.mark.mitsuba
 BANDS = np.array([500.0, 600.0])  # their plain mean has no noise from the choice of wavelengths

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from isetval import load_model
-from isetval.chain import ShotSetup, mean_electrons
+from isetval.camera.chain import ShotSetup, mean_electrons
+from isetval.camera.exposing import expose
+from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign, Shot
+from isetval.core.paths import data_folder
 from isetval.core.scene import Patch, RenderedTarget
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
+from isetval.loop.prediction import Point, Predictor
+from isetval.loop.render_error import render_covariance
 from isetval.measure.campaign import measure_shot
-from isetval.prediction import Point, Predictor
-from isetval.rendererror import render_covariance
-from isetval.scenes.passes import DRAWS, Running, signs
-from isetval.shooting import expose, simulate
-from isetval.tomlfile import data_folder
+from isetval.scenes.render.render_passes import DRAWS, Running, signs
 
 SEEDS = 12
 

@@ -9,8 +9,9 @@ import textwrap
 import numpy as np
 import pytest
 
-from isetval.scenes import cornell_box, rendering, wall_camera
-from isetval.scenes.rendering import render
+from isetval.scenes import cornell_box, wall_camera
+from isetval.scenes.render import rendering
+from isetval.scenes.render.rendering import render
 
 pytestmark = pytest.mark.mitsuba
 BANDS = [500.0, 550.0, 600.0]

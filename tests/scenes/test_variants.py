@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from isetval.core.errors import InputError, MissingPartError
-from isetval.scenes import variants
-from isetval.scenes.variants import SCALAR, choose_variant, llvm_libraries, probe_variant
+from isetval.scenes.render import variants
+from isetval.scenes.render.variants import SCALAR, choose_variant, llvm_libraries, probe_variant
 
 pytestmark = pytest.mark.mitsuba
 
@@ -56,7 +56,8 @@ def test_choosing_imports_no_mitsuba():
     import subprocess
 
     code = (
-        "import sys, isetval.scenes.variants as v; v.choose_variant(); v.mitsuba_version(); assert 'mitsuba' not in sys.modules"
+        "import sys, isetval.scenes.render.variants as v\n"
+        "v.choose_variant(); v.mitsuba_version(); assert 'mitsuba' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=dict(os.environ))
 

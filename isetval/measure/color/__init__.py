@@ -1,6 +1,6 @@
 """Colour charts: finding, patch means, spectral quantum efficiency, line profiles."""
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "ChartResult": "isetval.measure.color.chartresult",

@@ -1,6 +1,6 @@
 """Slanted edges: SFR of one region or many, automatic finding of edges, profiles over the field."""
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "EdgeRoi": "isetval.measure.edge.detect",

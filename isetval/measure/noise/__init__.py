@@ -1,6 +1,6 @@
 """Sensor noise: photon transfer, dark signal, EMVA 1288 decomposition, uniform patches, capture quality."""
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "Quantity": "isetval.measure.noise.quantity",

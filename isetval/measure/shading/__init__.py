@@ -1,6 +1,6 @@
 """Relative illumination: fall-off curve, centre, tilt, colour shading, 2-D map."""
 
-from isetval._lazy import lazy_names
+from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "FalloffPlane": "isetval.measure.shading.results",

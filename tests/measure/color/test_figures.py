@@ -5,9 +5,9 @@ import stored_metrics  # noqa: F401  (puts the flat-field generator on the path)
 from chart_scenes import ChartScene
 from flat_fields import Flat
 
+from isetval.app.plots.color import chart_figure, profile_figure, qe_figure
+from isetval.app.plots.shading import falloff_figure
 from isetval.measure import chart, line_profile, relative_illumination, spectral_qe
-from isetval.plots.color import chart_figure, profile_figure, qe_figure
-from isetval.plots.shading import falloff_figure
 
 
 def test_falloff_figure_shows_every_plane_and_the_prediction(tmp_path):

@@ -5,8 +5,8 @@ import io
 from edge_cases import AIRY
 from edge_charts import Chart
 
+from isetval.app.plots.edges import found_edges_figure, pair_figure, sfr_figure
 from isetval.measure.edge import find_edges, sfr
-from isetval.plots.edges import found_edges_figure, pair_figure, sfr_figure
 from isetval.scenes.edge_truth import EdgeTruth, edge_capture
 
 

@@ -1,0 +1,122 @@
+"""``demo``, ``challenge make | reveal``, ``campaign init``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from isetval.app.cli.cmd_loop import default_jobs, load_both, positive
+from isetval.app.cli.console import Console
+from isetval.app.cli.outcome import FINE, Outcome
+
+
+def register_demo(commands: Any, common: argparse.ArgumentParser) -> None:
+    """``isetval demo``."""
+    p = commands.add_parser(
+        "demo", parents=[common], help="the whole loop on the embedded campaign, report at the end", description=demo.__doc__
+    )
+    p.add_argument(
+        "--seed", type=int, help="draws the hidden effect, the specimen and the laboratory's errors (default: a fixed one)"
+    )
+    p.add_argument("-j", "--jobs", type=positive, default=default_jobs(), help="worker processes (default: %(default)s)")
+    p.set_defaults(handler=demo, writes_result=False)
+
+
+def register(commands: Any, common: argparse.ArgumentParser) -> None:
+    """``isetval challenge`` and ``isetval campaign``."""
+    actions = commands.add_parser("challenge", help="sealed hidden effects: make, reveal").add_subparsers(
+        metavar="ACTION", required=True
+    )
+    p = actions.add_parser("make", parents=[common], help="shoot a plan with hidden effects", description=challenge_make.__doc__)
+    p.add_argument("model", metavar="MODEL", help="the nominal model, which the solver knows")
+    p.add_argument("plan", metavar="PLAN")
+    p.add_argument("--truth", type=Path, help="where the truth goes (default: DIR.truth.json); another party keeps it")
+    p.add_argument("--kind", choices=("null", "single", "pair"), help="how many effects (default: drawn)")
+    p.add_argument("--seed", type=int, help="for tests; by default nobody knows it")
+    p.set_defaults(handler=challenge_make, writes_result=False)
+    p = actions.add_parser(
+        "reveal", parents=[common], help="open a challenge and score an answer", description=challenge_reveal.__doc__
+    )
+    p.add_argument("folder", metavar="DIR", type=Path)
+    p.add_argument("--truth", type=Path, help="the truth file (default: DIR.truth.json)")
+    p.add_argument("--diagnosis", type=Path, metavar="d.json", help="the answer: a result of isetval diagnose")
+    p.set_defaults(handler=challenge_reveal, writes_result=True)
+    actions = commands.add_parser("campaign", help="campaign folders: init").add_subparsers(metavar="ACTION", required=True)
+    p = actions.add_parser(
+        "init", parents=[common], help="a commented campaign.toml from what the files say", description=campaign_init.__doc__
+    )
+    p.add_argument("folder", metavar="FOLDER", type=Path)
+    p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "scene"), help="what all files show (default: guessed)")
+    p.add_argument("--camera", default="", metavar="MODEL", help="the nominal camera model, as the campaign shall name it")
+    p.set_defaults(handler=campaign_init, writes_result=False)
+
+
+def demo(args: argparse.Namespace, console: Console) -> Outcome:
+    """Shoot the embedded plan with a camera in which one effect is hidden; compare, diagnose, add, compare again; reveal."""
+    from isetval.app.cli.loopwords import demo_lines
+    from isetval.app.demo import DEFAULT_SEED, run_demo
+
+    seed = DEFAULT_SEED if args.seed is None else args.seed
+    folder = Path(args.output or "isetval-demo")
+
+    found = run_demo(seed, folder=folder, jobs=args.jobs, step=console.step, say=console.say)
+    return Outcome(found, demo_lines(found), FINE)
+
+
+def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
+    """Shoot a plan with none, one or two effects hidden in the model, and seal which: the folder holds a SHA-256 of the truth."""
+    from isetval.app.challenge import make_challenge
+    from isetval.core.errors import InputError
+
+    if args.output is None:
+        raise InputError("challenge make needs -o DIR: the folder to write the challenge to")
+    model, plan, inputs = load_both(args.model, args.plan)
+    truth = args.truth or Path(f"{args.output}.truth.json")
+    console.say("shooting the plan")
+    made = make_challenge(model, plan, args.output, truth_file=truth, seed=args.seed, kind=args.kind)
+    lines = [
+        f"challenge: {args.output}",
+        f"commitment: {made['commitment']}",
+        f"truth: {truth} (give it to another party, unread)",
+    ]
+    return Outcome({"kind": "challenge make", "folder": args.output, "truth": str(truth), **made}, lines, FINE, inputs)
+
+
+def challenge_reveal(args: argparse.Namespace, console: Console) -> Outcome:
+    """Check the truth file against the commitment, print it, and score a diagnosis."""
+    from isetval.app.challenge import reveal_challenge
+    from isetval.core.hashing import file_hash
+    from isetval.loop.adding import read_result
+
+    truth = args.truth or Path(f"{str(args.folder).rstrip('/')}.truth.json")
+    answer = read_result(args.diagnosis) if args.diagnosis else None
+    found = reveal_challenge(args.folder, truth, diagnosis=answer)
+    lines = ["the truth is the one that was sealed", f"hidden: {_hidden_words(found.truth)}"]
+    if found.score:
+        s = found.score
+        first, whole = ("right" if s[key] else "wrong" for key in ("first_right", "class_right"))
+        lines.append(f"answer: verdict {s['verdict']}; first name {first}, class {whole}")
+        lines.append(f"missed: {', '.join(s['missed']) or 'none'}; invented: {', '.join(s['invented']) or 'none'}")
+        lines += [f"pull of {key}: {pull:+.2f} sigma" for key, pull in s["pulls"].items()]
+    result = {"kind": "challenge reveal", "truth": found.truth, "score": found.score}
+    return Outcome(result, lines, FINE, {str(truth): file_hash(truth)})
+
+
+def _hidden_words(truth: Any) -> str:
+    parts = [f"{e['name']} ({', '.join(f'{k} {v:g}' for k, v in e['parameters'].items())})" for e in truth["effects"]]
+    return " and ".join(parts) or "nothing"
+
+
+def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
+    """Write a commented campaign.toml beside the DNGs of a folder, from what the files say; a person completes it."""
+    from isetval.core.hashing import file_hash
+    from isetval.files.draft import draft_campaign, write_draft
+
+    console.say(f"reading the files of {args.folder}")
+    draft = draft_campaign(args.folder, role=args.role, camera=args.camera)
+    path = write_draft(draft, args.folder)
+    lines = [f"{path}: {draft.shots} shots drafted; complete the lines marked CHECK, then: isetval measure {args.folder}"]
+    lines += [f"left out: {file}: {reason}" for file, reason in draft.skipped]
+    result = {"kind": "campaign init", "file": str(path), "shots": draft.shots, "skipped": [list(s) for s in draft.skipped]}
+    return Outcome(result, lines, FINE, {str(path): file_hash(path)})

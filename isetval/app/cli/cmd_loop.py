@@ -1,0 +1,214 @@
+"""The loop: ``simulate``, ``compare``, ``identify``, ``diagnose``, ``add``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from isetval.app.cli.console import Console
+from isetval.app.cli.outcome import FINE, OUTSIDE_LIMITS, Outcome
+
+if TYPE_CHECKING:
+    from isetval.camera.model import CameraModel
+    from isetval.core.campaign import Campaign
+
+
+def register(commands: Any, common: argparse.ArgumentParser) -> None:
+    """The commands and their options."""
+    jobs = argparse.ArgumentParser(add_help=False, parents=[common])
+    jobs.add_argument("-j", "--jobs", type=positive, default=default_jobs(), help="worker processes (default: %(default)s)")
+    _register_simulate(commands, common)
+    p = commands.add_parser(
+        "compare", parents=[jobs], help="where does a model fail (several models: the ladder)", description=compare.__doc__
+    )
+    p.add_argument("models", nargs="+", metavar="MODEL", help="camera models (TOML); the last word is the campaign")
+    p.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and captures")
+    p.add_argument("--limits", type=Path, help="TOML file of limits on the families (column mean_square_z); outside: exit code 1")
+    p.set_defaults(handler=compare, writes_result=True)
+    p = commands.add_parser(
+        "identify", parents=[jobs], help="what could be told apart, before measuring", description=identify.__doc__
+    )
+    p.add_argument("model", metavar="MODEL")
+    p.add_argument("plan", metavar="PLAN", help="campaign.toml; its captures are not used")
+    p.add_argument("--seed", type=int, default=0)
+    p.set_defaults(handler=identify, writes_result=True)
+    p = commands.add_parser(
+        "diagnose",
+        parents=[jobs],
+        help="which effect is missing, how sure, what else, what next",
+        description=diagnose.__doc__,
+    )
+    p.add_argument("model", metavar="MODEL")
+    p.add_argument("campaign", metavar="CAMPAIGN")
+    p.add_argument("--holdout", metavar="CAMPAIGN", help="captures to confirm on (default: the second measurement session)")
+    p.set_defaults(handler=diagnose, writes_result=True)
+    _register_add(commands, common)
+
+
+def _register_simulate(commands: Any, common: argparse.ArgumentParser) -> None:
+    p = commands.add_parser(
+        "simulate", parents=[common], help="a model shoots a plan: a campaign folder of DNGs", description=simulate.__doc__
+    )
+    p.add_argument("model", metavar="MODEL", help="camera model (TOML)")
+    p.add_argument("plan", metavar="PLAN", help="campaign.toml or its folder; captures in it are not used")
+    p.add_argument("--seed", type=int, default=0, help="same seed, same bits (default 0)")
+    p.add_argument("--sensor-seed", type=int, help="the specimen: seed of the fixed patterns (default: the seed)")
+    p.add_argument("--draw", action="store_true", help="draw the laboratory's nuisances from their priors (default: all 0)")
+    p.set_defaults(handler=simulate, writes_result=False)
+
+
+def _register_add(commands: Any, common: argparse.ArgumentParser) -> None:
+    p = commands.add_parser("add", parents=[common], help="a model with one more effect, or new values", description=add.__doc__)
+    p.add_argument("model", metavar="MODEL")
+    p.add_argument("effect", metavar="EFFECT", help="a name of the catalogue (isetval effects)")
+    source = p.add_mutually_exclusive_group()
+    source.add_argument("--from", dest="diagnosis", metavar="d.json", type=Path, help="result of isetval diagnose")
+    source.add_argument("--set", dest="settings", metavar="k=v", action="append", default=[], help="a parameter's value")
+    p.set_defaults(handler=add, writes_result=False)
+
+
+def positive(text: str) -> int:
+    """A whole number from 1."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of processes; write 1 or more")
+    return int(text)
+
+
+def default_jobs() -> int:
+    """Two workers where there are two cores."""
+    return min(2, os.cpu_count() or 1)
+
+
+def load_both(model: str, campaign: str) -> tuple[CameraModel, Campaign, dict[str, str]]:
+    """A model, a campaign and the hashes of their files."""
+    import isetval
+    from isetval.core.hashing import file_hash
+    from isetval.files.captures import hashes
+
+    loaded = isetval.load_model(model)
+    shots = isetval.load_campaign(campaign)
+    file = Path(model) / "camera.toml" if Path(model).is_dir() else Path(model)
+    return loaded, shots, {str(file): file_hash(file)} | hashes(shots)
+
+
+def simulate(args: argparse.Namespace, console: Console) -> Outcome:
+    """A camera model shoots a plan: a campaign folder of DNG files that is measured like any other."""
+    from dataclasses import replace
+
+    from isetval.camera.shooting import draw_nuisances, shoot
+    from isetval.core.errors import InputError
+    from isetval.files.campaign_writer import write_campaign
+
+    if args.output is None:
+        raise InputError("simulate needs -o DIR: the folder to write the campaign to")
+    model, plan, inputs = load_both(args.model, args.plan)
+    values = draw_nuisances(plan, args.seed) if args.draw else {}
+    made = {"model": model.name, "model_sha256": model.digest(), "seed": args.seed, "nuisances": values}
+    campaign = replace(plan.as_plan(), sensor=model.sensor, provenance=made)
+    total = len(plan.shots)
+
+    def shots() -> Any:
+        made_shots = shoot(
+            model,
+            plan,
+            args.seed,
+            values=values,
+            draw=args.draw,
+            sensor_seed=args.sensor_seed,
+            rendering=lambda done, all_passes, words: console.progress(f"rendering: {words}", done, all_passes),
+        )
+        console.say(f"shooting {plan.shots[0].name}")
+        for i, (shot, frames) in enumerate(made_shots):
+            console.progress(f"shooting {shot.name}", i + 1, total)
+            yield shot, frames
+
+    folder = write_campaign(campaign, args.output, model=model, captures=shots())
+    files = sorted(p.name for p in folder.iterdir())
+    result = {"kind": "simulate", "folder": str(folder), "shots": total, "files": files, "settings": made}
+    frames = sum(shot.frames for shot in plan.shots)
+    return Outcome(result, [f"{total} shots, {frames} frames written to {folder}"], FINE, inputs)
+
+
+def compare(args: argparse.Namespace, console: Console) -> Outcome:
+    """Measure a campaign, simulate its plan with each model by the same estimators, and show where they differ."""
+    import isetval
+    from isetval.app.cli.loopwords import comparison_lines
+    from isetval.app.limits import broken, load_limits
+    from isetval.core.hashing import file_hash
+
+    limits = load_limits(args.limits) if args.limits else ()
+    model, campaign, inputs = load_both(args.models[0], args.campaign)
+    models = [model, *(isetval.load_model(m) for m in args.models[1:])]
+    inputs |= {m: file_hash(m) for m in args.models if Path(m).is_file()}
+    found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say)
+    result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
+    faults = broken(limits, result["ladder"])
+    lines = comparison_lines(result) + [f"outside limits: {fault}" for fault in faults]
+    if limits:
+        result["outside_limits"] = faults
+    code = OUTSIDE_LIMITS if faults else FINE
+    return Outcome(result, lines, code, inputs, result["table"])
+
+
+def _distinct(models: list[CameraModel], files: list[str]) -> list[CameraModel]:
+    """Models of one name are told apart by their files."""
+    from dataclasses import replace
+
+    names = [m.name for m in models]
+    return [
+        m if names.count(m.name) == 1 else replace(m, name=f"{m.name} ({Path(f).name})")
+        for m, f in zip(models, files, strict=True)
+    ]
+
+
+def identify(args: argparse.Namespace, console: Console) -> Outcome:
+    """Tell, before anything is measured, which effects a plan would show, how well, and which it could not tell apart."""
+    import isetval
+    from isetval.app.cli.loopwords import identify_lines
+
+    model, plan, inputs = load_both(args.model, args.plan)
+    found = isetval.identify(model, plan, seed=args.seed, jobs=args.jobs, say=console.say)
+    result = {"kind": "identify", "plan": plan.name, "model": model.name, **found.to_json()}
+    return Outcome(result, identify_lines(result), FINE, inputs, result["parameters"])
+
+
+def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
+    """Name the physical effect that the model lacks (or say that none of the known ones explains the captures)."""
+    import isetval
+    from isetval.app.cli.loopwords import diagnosis_lines
+    from isetval.files.captures import hashes
+
+    model, campaign, inputs = load_both(args.model, args.campaign)
+    holdout = None
+    if args.holdout:
+        holdout = isetval.load_campaign(args.holdout)
+        inputs |= hashes(holdout)
+    found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say)
+    result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}
+    result |= found.to_json()
+    hint = {"model": args.model, "diagnosis": args.output or "d.json"}
+    return Outcome(result, diagnosis_lines(result, hint), FINE, inputs, result["candidates"])
+
+
+def add(args: argparse.Namespace, console: Console) -> Outcome:
+    """Write a model file with one more effect, or with new values of one it has; comments of the file are kept."""
+    import isetval
+    from isetval.core.errors import InputError
+    from isetval.core.hashing import file_hash
+    from isetval.loop.adding import add_effect, from_diagnosis, from_settings
+
+    if args.output is None:
+        raise InputError("add needs -o MODEL2: the model file to write")
+    model = isetval.load_model(args.model)
+    inputs = {str(model.path): file_hash(str(model.path))}
+    if args.diagnosis is not None:
+        values = from_diagnosis(args.effect, args.diagnosis)
+        inputs[str(args.diagnosis)] = file_hash(args.diagnosis)
+    else:
+        values = from_settings(args.effect, args.settings)
+    made = add_effect(model, values, output=args.output)
+    lines = [f"{made.name}: {values.words()}; written to {args.output}"]
+    result = {"kind": "add", "model": made.name, "file": args.output, "effect": args.effect, "values": dict(values.values)}
+    return Outcome(result, lines, FINE, inputs)

@@ -1,0 +1,179 @@
+"""``isetval measure``: files, folders and campaigns to metrics."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from isetval.app.cli.console import Console
+from isetval.app.cli.outcome import FINE, OUTSIDE_LIMITS, Outcome
+
+if TYPE_CHECKING:
+    from isetval.core.metric import Metric, MetricTable
+    from isetval.files.loose_files import FileMeasurement
+
+_SKIP = ("summary",)
+
+
+def register(commands: Any, common: argparse.ArgumentParser) -> None:
+    """The command and its options."""
+    p = commands.add_parser(
+        "measure",
+        parents=[common],
+        help="DNGs, a folder of them or a campaign -> metrics with sigma",
+        description="Measure DNG files, folders or a campaign. Without --role, each file is searched for a 24-patch chart, then "
+        "for slanted edges. Files that cannot be read are listed with the reason; the others are measured.",
+    )
+    p.add_argument("paths", nargs="+", metavar="PATH", type=Path, help="DNG files, folders, or a folder with campaign.toml")
+    p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "scene"), help="what the files show")
+    p.add_argument(
+        "--black",
+        choices=("auto", "tag", "optical"),
+        help="black level: optical black where it differs from the tag (auto: default for one file) or the tag (for several)",
+    )
+    p.add_argument("--raw-shape", metavar="ROWSxCOLS", type=raw_shape, help="the files are headerless raw of this size")
+    p.add_argument("--cfa", help="colour pattern of headerless raw: RGGB, BGGR, GRBG, GBRG or MONO")
+    p.add_argument("--bits", type=int, help="bits of headerless raw, 1 to 16")
+    p.add_argument("--black-dn", type=float, help="black level of headerless raw in DN")
+    p.add_argument("--limits", type=Path, help="TOML file of limits; a value outside them gives exit code 1")
+    p.add_argument("--shard", metavar="i/n", type=shard, help="only the i-th of n parts of the files (for clusters)")
+    p.set_defaults(handler=measure, writes_result=True)
+
+
+def raw_shape(text: str) -> tuple[int, int]:
+    """``ROWSxCOLS`` as two numbers."""
+    found = re.fullmatch(r"(\d+)[xX](\d+)", text)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; write ROWSxCOLS, as 3024x4032")
+    return int(found[1]), int(found[2])
+
+
+def shard(text: str) -> tuple[int, int]:
+    """``i/n`` as two numbers, i from 1 to n."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no part; write i/n with i from 1 to n, as 2/8")
+    return int(found[1]), int(found[2])
+
+
+def measure(args: argparse.Namespace, console: Console) -> Outcome:
+    """Measure what the paths hold."""
+    from isetval.app.limits import load_limits
+
+    limits = load_limits(args.limits) if args.limits else ()
+    raw = _raw_settings(args)
+    if len(args.paths) == 1 and raw is None and args.role is None and _is_campaign(args.paths[0]):
+        outcome = _measure_campaign(args, console)
+    else:
+        outcome = _measure_files(args, console, raw)
+    from isetval.app.limits import broken
+
+    faults = broken(limits, outcome.result["metrics"])
+    lines = [*outcome.lines, *([""] if faults else []), *(f"outside limits: {fault}" for fault in faults)]
+    code = OUTSIDE_LIMITS if faults else outcome.code
+    result = {**outcome.result, **({"outside_limits": faults} if limits else {})}
+    return Outcome(result, lines, code, outcome.inputs, outcome.table)
+
+
+def _is_campaign(path: Path) -> bool:
+    return (path.is_dir() and (path / "campaign.toml").is_file()) or path.suffix.lower() == ".toml"
+
+
+def _raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:
+    from isetval.core.errors import InputError
+
+    given = {"--raw-shape": args.raw_shape, "--cfa": args.cfa, "--bits": args.bits}
+    if all(v is None for v in (*given.values(), args.black_dn)):
+        return None
+    missing = [name for name, value in given.items() if value is None]
+    if missing:
+        raise InputError(f"headerless raw needs --raw-shape, --cfa and --bits; {', '.join(missing)} is missing: add it")
+    return {"shape": args.raw_shape, "cfa": args.cfa.upper(), "bits": args.bits, "black_dn": args.black_dn}
+
+
+def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
+    import isetval
+    from isetval.files.captures import forgiving, hashes
+
+    path = args.paths[0]
+    console.say(f"reading {path}")
+    campaign, skipped = forgiving(isetval.load_campaign(path))
+    table = isetval.measure_campaign(campaign, progress=console.progress)
+    rows = [metric_row(m, sigma) for m, sigma in zip(table.metrics, table.sigma, strict=True)]
+    result = {
+        "kind": "measure",
+        "campaign": campaign.name,
+        "metrics": rows,
+        "skipped": [{"file": file, "reason": reason} for file, reason in skipped],
+        "notes": list(table.notes),
+        "settings": dict(table.settings) | {"choices": dict(table.choices)},
+    }
+    return Outcome(result, _campaign_lines(table, skipped), FINE, hashes(campaign), rows)
+
+
+def _campaign_lines(table: MetricTable, skipped: Iterable[tuple[str, str]]) -> list[str]:
+    from isetval.app.cli.tables import text_table
+
+    families: dict[tuple[str, str], list[Metric]] = {}
+    for m in table.metrics:
+        families.setdefault((m.role, m.family), []).append(m)
+    shots = {m.shot for m in table.metrics}
+    lines = [f"# {len(table.metrics)} metrics of {len(shots)} shots"]
+    body = [
+        (role, family, len(rows), len({m.shot for m in rows}), " ".join(dict.fromkeys(m.unit for m in rows)))
+        for (role, family), rows in families.items()
+    ]
+    lines += text_table(("role", "family", "n", "shots", "unit"), body)
+    return lines + _doubt_lines(skipped, table.notes)
+
+
+def _doubt_lines(skipped: Iterable[tuple[str, str]], notes: Iterable[str]) -> list[str]:
+    lines = [f"left out: {file}: {reason}" for file, reason in skipped]
+    return lines + [f"note: {note}" for note in notes]
+
+
+def metric_row(m: Metric, sigma: float, *, file: str = "") -> dict[str, Any]:
+    """A metric as a flat row without the fields it leaves empty; ``sigma`` includes shared parts."""
+    row = {k: v for k, v in vars(m).items() if v not in ("", None) and k not in _SKIP}
+    return row | {"sigma": float(sigma)} | ({"file": file} if file else {})
+
+
+def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str, Any] | None) -> Outcome:
+    from isetval.files.loose_files import file_reader, measure_files, raw_files
+
+    paths = raw_files(args.paths)
+    if args.shard:
+        part, parts = args.shard
+        paths = paths[part - 1 :: parts]
+    single = len(paths) == 1
+    black = args.black or ("auto" if single else "tag")
+    console.say(f"measuring {len(paths)} files")
+    found = measure_files(paths, read=file_reader(black=black, raw=raw), role=args.role, progress=console.progress)
+    rows = [metric_row(m, m.sigma, file=file) for file, m in found.metrics]
+    result = {
+        "kind": "measure",
+        "metrics": rows,
+        "files": found.files,
+        "skipped": [{"file": file, "reason": reason} for file, reason in found.skipped],
+        "notes": list(found.notes),
+        "settings": dict(found.settings) | {"black": black, "raw": raw},
+    }
+    hashes = {file: str(about["sha256"]) for file, about in found.files.items()}
+    return Outcome(result, _file_lines(found, brief=not single), FINE, hashes, rows)
+
+
+def _file_lines(found: FileMeasurement, *, brief: bool) -> list[str]:
+    from isetval.app.cli.filewords import file_lines, metric_lines
+
+    lines: list[str] = []
+    for file, about in found.files.items():
+        if brief and len(found.files) > 12:
+            break
+        lines += file_lines(file, about, brief=brief)
+    lines += metric_lines([m for _, m in found.metrics], files=[f for f, _ in found.metrics], brief=brief)
+    if brief:
+        lines.append(f"# measured {len(found.files)} of {len(found.files) + len(found.skipped)} files")
+    return lines + _doubt_lines(found.skipped, found.notes)

@@ -1,0 +1,183 @@
+"""``effects``, ``doctor``, ``lens audit``, ``report``, ``rerun``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from isetval.app.cli.console import Console
+from isetval.app.cli.outcome import FINE, MISSING_PART, OUTSIDE_LIMITS, Outcome
+from isetval.app.cli.tables import text_table
+
+
+def register(commands: Any, common: argparse.ArgumentParser) -> None:
+    """The commands and their options."""
+    p = commands.add_parser(
+        "effects", parents=[common], help="the catalogue with units and equations", description=effects.__doc__
+    )
+    p.add_argument("names", nargs="*", metavar="EFFECT", help="only these, with their text")
+    p.set_defaults(handler=effects, writes_result=True)
+    p = commands.add_parser("doctor", parents=[common], help="what is installed, which renderer is used and why")
+    p.set_defaults(handler=doctor, writes_result=True)
+    lens = commands.add_parser("lens", help="lens files: audit").add_subparsers(metavar="ACTION", required=True)
+    p = lens.add_parser("audit", parents=[common], help="contradictions inside a lens file", description=lens_audit.__doc__)
+    p.add_argument("file", type=Path, metavar="FILE", help="ray-transfer lens (JSON)")
+    p.add_argument("--f-number", type=float, help="the f-number that the lens is said to have")
+    p.add_argument("--sensor-diagonal", type=float, metavar="MM", help="diagonal of the sensor in mm")
+    p.add_argument("--film", type=float, metavar="MM", help="film to rear vertex, where f-number and fall-off are taken")
+    p.add_argument(
+        "--focus",
+        action="append",
+        type=_focus_pair,
+        default=[],
+        metavar="FILM_MM=OBJECT_M",
+        help="a film distance that is said to focus an object (front vertex to object); may be given several times",
+    )
+    p.set_defaults(handler=lens_audit, writes_result=True)
+    p = commands.add_parser("report", parents=[common], help="results -> one self-contained page", description=report.__doc__)
+    p.add_argument("results", nargs="+", metavar="RESULT", type=Path, help="JSON results of measure, compare, diagnose, demo")
+    p.set_defaults(handler=report, writes_result=False)
+    p = commands.add_parser("rerun", parents=[common], help="the same numbers again, or what moved", description=rerun.__doc__)
+    p.add_argument("result", metavar="RESULT", type=Path, help="JSON result written with -o")
+    p.add_argument(
+        "--rtol", type=float, default=1e-9, help="largest relative difference that counts as equal (default %(default)g)"
+    )
+    p.set_defaults(handler=rerun, writes_result=True)
+
+
+def effects(args: argparse.Namespace, console: Console) -> Outcome:
+    """List the catalogue of physical effects: name, stage, parameters with unit and bounds, equation, source."""
+    from isetval.camera.model_file import make_effect
+    from isetval.effects import catalogue
+
+    known = catalogue()
+    for name in args.names:
+        make_effect(name, {}, "effects")
+    rows = [_effect_row(known[name]) for name in (args.names or known)]
+    if args.names:
+        lines = [line for row in rows for line in _effect_text(row)]
+    else:
+        lines = [f"# {len(rows)} effects along the light path (text of one: isetval effects NAME)"]
+        body = [(r["stage"], r["name"], "; ".join(_parameter_words(p) for p in r["parameters"]), r["equation"]) for r in rows]
+        lines += text_table(("stage", "effect", "parameters", "equation"), body)
+    return Outcome({"kind": "effects", "effects": rows}, lines, FINE, {}, _flat(rows))
+
+
+def _effect_row(cls: Any) -> dict[str, Any]:
+    import inspect
+
+    return {
+        "name": cls.name,
+        "stage": cls.stage,
+        "acts_on": cls.acts_on,
+        "gives": cls.gives,
+        "candidate": cls.candidate,
+        "random": cls.random,
+        "equation": cls.equation,
+        "reference": cls.reference,
+        "files": list(cls.files()),
+        "parameters": [vars(p) for p in cls.parameters()],
+        "text": inspect.cleandoc(cls.__doc__ or ""),
+    }
+
+
+def _parameter_words(p: dict[str, Any]) -> str:
+    return f"{p['name']} [{p['unit']}]"
+
+
+def _effect_text(row: dict[str, Any]) -> list[str]:
+    lines = [f"# {row['name']} ({row['stage']})", *(f"  {line}" for line in row["text"].splitlines())]
+    lines += [f"  equation: {row['equation']}", f"  source: {row['reference']}"]
+    for p in row["parameters"]:
+        scale = f", plausible scale {p['tau']:g}" if p["tau"] is not None else ""
+        lines.append(f"  {p['name']} [{p['unit']}], {p['low']:g} to {p['high']:g}, no effect at {p['null']:g}{scale}: {p['doc']}")
+    return lines
+
+
+def _flat(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    head = ("name", "stage", "equation", "reference")
+    return [{"effect": r["name"], **{k: r[k] for k in head[1:]}, **p} for r in rows for p in r["parameters"] or [{"name": ""}]]
+
+
+def doctor(args: argparse.Namespace, console: Console) -> Outcome:
+    """Examine the installation; exit code 4 if a part that is needed is missing."""
+    from isetval.app.doctor import examine
+
+    console.say("trying renderers in child processes")
+    checks, choice = examine()
+    marks = {"ok": "ok", "absent": "-", "broken": "MISSING"}
+    lines = text_table(("part", "", "found"), [(c.part, marks[c.state], c.found) for c in checks], indent=0)
+    for probe in choice.get("probes", ()):
+        state = "passed" if probe["passed"] else "failed"
+        lines.append(f"  tried {probe['variant']} {probe['library']}: {state}: {probe['message']}")
+    lines += [f"remedy for {c.part}: {c.remedy}" for c in checks if c.remedy]
+    code = MISSING_PART if any(c.state == "broken" for c in checks) else FINE
+    return Outcome({"kind": "doctor", "checks": [vars(c) for c in checks], "mitsuba": choice}, lines, code)
+
+
+def _focus_pair(text: str) -> tuple[float, float]:
+    """``FILM_MM=OBJECT_M`` as two positive lengths; ``inf`` is a far object."""
+    film, equals, distance = text.partition("=")
+    try:
+        pair = float(film), float(distance)
+    except ValueError:
+        pair = (math.nan, math.nan)
+    if not equals or not (0 < pair[0] < math.inf and pair[1] > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no FILM_MM=OBJECT_M, such as 0.52=0.5")
+    return pair
+
+
+def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
+    """Print what a lens file holds (f-number, fall-off, chief rays, focus) and flag where it contradicts itself."""
+    from isetval.core.hashing import file_hash
+    from isetval.lens import audit_file
+
+    digest = file_hash(args.file)
+    console.say(f"tracing rays through {args.file}")
+    found = audit_file(
+        args.file,
+        stated_f_number=args.f_number,
+        stated_focus=dict(args.focus),
+        sensor_diagonal_mm=args.sensor_diagonal,
+        film_mm=args.film,
+    )
+    return Outcome({"kind": "lens audit", **found.to_json()}, found.lines(), FINE, {str(args.file): digest})
+
+
+def report(args: argparse.Namespace, console: Console) -> Outcome:
+    """Draw one page from results: does it match, where not, what is missing, how the error fell."""
+    from isetval.app.report import write_report
+    from isetval.core.errors import InputError
+    from isetval.core.hashing import file_hash
+    from isetval.loop.adding import read_result
+
+    if args.output is None:
+        raise InputError("report needs -o PAGE.html: the file to write")
+    results = [read_result(path) for path in args.results]
+    console.say("drawing the report")
+    write_report(results, args.output)
+    lines = [f"report: {Path(args.output).resolve()} ({os.path.getsize(args.output) / 1e3:.0f} kB, opens without network)"]
+    inputs = {str(path): file_hash(path) for path in args.results}
+    return Outcome({"kind": "report", "report": args.output}, lines, FINE, inputs)
+
+
+def rerun(args: argparse.Namespace, console: Console) -> Outcome:
+    """Run the command behind a result again and list every number that moved (exit code 1 if any did)."""
+    from isetval.app.rerun import rerun_result
+    from isetval.core.hashing import file_hash
+    from isetval.loop.adding import read_result
+
+    console.say(f"running the command of {args.result} again")
+    found = rerun_result(read_result(args.result), args.run, rtol=args.rtol)
+    code = OUTSIDE_LIMITS if found.moved else FINE
+    result = {
+        "kind": "rerun",
+        "command": list(found.command),
+        "moved": [vars(m) for m in found.moved],
+        "compared": found.compared,
+    }
+    result |= {"changed_inputs": list(found.changed_inputs), "changed_versions": dict(found.changed_versions)}
+    return Outcome(result, found.lines(), code, {str(args.result): file_hash(args.result)})

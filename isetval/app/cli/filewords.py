@@ -1,0 +1,100 @@
+"""Words for measured files: what was read, which black level, clipped and bad pixels, patches, edges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from isetval.app.cli.tables import text_table
+from isetval.app.words import with_sigma
+
+if TYPE_CHECKING:
+    from isetval.core.metric import Metric
+
+MAX_ROWS = 60
+
+
+def file_lines(file: str, about: Mapping[str, Any], *, brief: bool) -> list[str]:
+    """One file: geometry, exposure, black level, doubts."""
+    if "shape" not in about:
+        return []
+    rows, cols = about["shape"]
+    exposure = about["exposure"]
+    words = [f"{rows} x {cols} px", str(about["cfa"]), f"{about['bits']} bit", f"white {about['white_dn']:g} DN"]
+    if exposure.get("time_s"):
+        words.append(f"{exposure['time_s']:.6g} s")
+    if exposure.get("iso"):
+        words.append(f"ISO {exposure['iso']:g}")
+    lines = [f"# {file}", "  " + ", ".join(words)]
+    if brief:
+        return lines + [f"  warning: {w['message']}" for w in about["warnings"][:3]]
+    lines.append(f"  black level: {_black_words(about)}")
+    lines.append(f"  {_clipped_words(about)}")
+    bad = about["bad_pixels"]
+    lines.append(f"  bad pixels: {bad['hot']} hot, {bad['dead']} dead (of {rows * cols}; the rim is not judged)")
+    return lines + [f"  warning: {w['message']}" for w in about["warnings"]]
+
+
+def _black_words(about: Mapping[str, Any]) -> str:
+    provenance = about["provenance"]
+    levels = ", ".join(f"{plane} {dn:.2f}" for plane, dn in about["black_dn"].items())
+    words = f"{levels} DN, from {str(provenance.get('black_used', 'unknown')).replace('_', ' ')}"
+    margin, tag = provenance.get("optical_black"), provenance.get("black_tag_dn")
+    if margin is not None and tag is not None:
+        mean_tag = sum(v for row in tag for v in row) / 4
+        words += (
+            f"; tag {mean_tag:g} DN, optical black of the hidden margin differs by "
+            f"{with_sigma(margin['difference_dn'], margin['difference_sigma_dn'], 'DN')}"
+        )
+    elif tag is not None:
+        words += "; the file has no hidden margin to check the tag against"
+    return words
+
+
+def _clipped_words(about: Mapping[str, Any]) -> str:
+    parts = [f"{plane} {c['at_zero']} at 0 and {c['at_white']} at white" for plane, c in about["clipped"].items()]
+    return "clipped pixels: " + "; ".join(parts)
+
+
+def metric_lines(metrics: Sequence[Metric], *, files: Sequence[str], brief: bool) -> list[str]:
+    """Tables of the metrics: patches by plane, then everything else."""
+    patches = [m for m in metrics if m.name == "patch_mean" and m.patch]
+    lines: list[str] = []
+    if patches and not brief:
+        lines += _patch_table(patches)
+    rest = [(m, f) for m, f in zip(metrics, files, strict=True) if not (m.name == "patch_mean" and m.patch) or brief]
+    if brief and len(rest) > MAX_ROWS:
+        lines.append(f"  {len(rest)} metrics (all of them with --json or -o)")
+        return lines
+    if rest:
+        lines.append("# metrics")
+        body = [
+            (
+                m.name,
+                m.channel,
+                f"{m.region}{m.patch}",
+                "" if m.frequency_cy_px is None else f"{m.frequency_cy_px:g} cy/px",
+                with_sigma(m.value, m.sigma, m.unit),
+                m.reason,
+                f.rsplit("/", 1)[-1] if brief else "",
+            )
+            for m, f in rest
+        ]
+        lines += _dropping_empty(("metric", "channel", "where", "at", "value", "flags", "file"), body)
+    return lines
+
+
+def _dropping_empty(header: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    keep = [i for i in range(len(header)) if any(row[i] for row in body)]
+    return text_table([header[i] for i in keep], [[row[i] for i in keep] for row in body])
+
+
+def _patch_table(patches: Sequence[Metric]) -> list[str]:
+    planes = list(dict.fromkeys(m.channel for m in patches))
+    names = list(dict.fromkeys(m.patch for m in patches))
+    value = {(m.patch, m.channel): m for m in patches}
+    body = [
+        (i, name, *(with_sigma(value[name, p].value, value[name, p].sigma) if (name, p) in value else "" for p in planes))
+        for i, name in enumerate(names, 1)
+    ]
+    return ["# patch means above black, DN +- sigma", *text_table(("", "patch", *planes), body)]

@@ -1,0 +1,159 @@
+"""Words for comparisons, identifiability and diagnoses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from isetval.app.cli.tables import text_table
+from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, state_of, with_sigma
+
+
+def gate_line(gate: Mapping[str, Any]) -> str:
+    """The repeat gate in one line."""
+    if not gate.get("run"):
+        return "repeat gate: not run, the campaign declares no repeats (repeat_of); error bars are taken as stated"
+    words = "failed" if gate["failed"] else "passed"
+    return (
+        f"repeat gate: {words}; mean-square z of {gate['n']} repeated metrics {gate['mean_square_z']:.3f} "
+        f"(1 +- {gate['allowed']:.2f} allowed)"
+    )
+
+
+def ladder_table(ladder: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Families against models: mean-square z and rms relative error."""
+    out: list[str] = []
+    for role in dict.fromkeys(row["role"] for row in ladder):
+        rows = [row for row in ladder if row["role"] == role]
+        models = list(dict.fromkeys(row["model"] for row in rows))
+        families = list(dict.fromkeys(row["family"] for row in rows))
+        cell = {(row["family"], row["model"]): row for row in rows}
+        what = "nothing was fitted to these captures" if role == "prediction" else "in-sample: effects were fitted to these"
+        out.append(f"# mean-square z (1 = agrees within the error bars, ! fails) and rms relative error; {role}: {what}")
+        body = []
+        for family in families:
+            entries = [cell.get((family, m)) for m in models]
+            n = next(e["n"] for e in entries if e)
+            body.append((family, n, *(_cell(e) for e in entries)))
+        out += text_table(("family", "n", *models), body)
+    return out
+
+
+def _cell(row: Mapping[str, Any] | None) -> str:
+    if row is None or row["mean_square_z"] is None:
+        return "-"
+    mark = {"fails": " !", "doubtful": " ?"}.get(state_of(row["mean_square_z"], row["n"]), "")
+    relative = relative_words(row)
+    return f"{row['mean_square_z']:.3f}{mark}" + (f" ({relative})" if relative else "")
+
+
+def comparison_lines(result: Mapping[str, Any]) -> list[str]:
+    """Gate, families, worst conditions, nuisances that were pulled."""
+    lines = [gate_line(result["gate"]), ""]
+    lines += ladder_table(result["ladder"])
+    lines += _worst_lines(result)
+    lines += [f"note: {note}" for note in result["notes"]]
+    return lines
+
+
+def _worst_lines(result: Mapping[str, Any], count: int = 8) -> list[str]:
+    model = result["models"][-1]
+    rows = [row for row in result["table"] if row["model"] == model and row["z"] is not None]
+    rows.sort(key=lambda row: -abs(row["z"]))
+    body = [
+        (
+            row["name"],
+            row["shot"],
+            row["channel"],
+            row["region"] or row["patch"] or (f"{row['frequency_cy_px']:g} cy/px" if row["frequency_cy_px"] else ""),
+            f"{row['measured']:.5g}",
+            f"{row['simulated']:.5g}",
+            row["unit"],
+            f"{row['z']:+.1f}",
+        )
+        for row in rows[:count]
+    ]
+    header = ("metric", "shot", "channel", "at", "measured", "simulated", "unit", "z")
+    return ["", f"# farthest single metrics ({model}, of {len(rows)})", *text_table(header, body)] if body else []
+
+
+def identify_lines(result: Mapping[str, Any]) -> list[str]:
+    """Detectable parameters, hidden effects, close pairs, captures that would help."""
+    body = [
+        (p["effect"], p["parameter"], f"{p['sigma']:.3g}", _or_dash(p["smallest_detectable"]), f"{p['tau']:.3g}", p["unit"])
+        for p in result["parameters"]
+        if p["observable"] and p["sigma"] is not None
+    ]
+    lines = ["# effects that this plan would show (sigma of each parameter, smallest strength found with 95 % power)"]
+    lines += text_table(("effect", "parameter", "sigma", "smallest", "plausible", "unit"), body)
+    lines += ["", f"not observable with this plan: {', '.join(result['unobservable']) or 'none'}"]
+    if result["pairs"]:
+        lines += ["", "# pairs that are hard to tell apart (cosine rho of their signatures)"]
+        lines += text_table(("effect", "effect", "rho"), [(*p["effects"], f"{p['rho']:.3f}") for p in result["pairs"][:12]])
+    return lines + next_lines(result["next_captures"])
+
+
+def _or_dash(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def next_lines(captures: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Captures that would tell close pairs apart."""
+    if not captures:
+        return []
+    body = [(c["capture"], " / ".join(c["separates"]), f"{c['rho_before']:.3f} -> {c['rho_after']:.3f}") for c in captures]
+    return ["", "# captures that would tell them apart", *text_table(("capture", "separates", "rho"), body)]
+
+
+def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = None) -> list[str]:
+    """Verdict, named effects, table of candidates, what is left, what next, the ladder."""
+    lines = [gate_line(result["gate"]), "", f"# verdict: {result['verdict']} - {VERDICT_WORDS[result['verdict']]}"]
+    for effect in result["effects"]:
+        lines.append(f"  {effect_words(effect)}")
+        also = f"; these captures cannot tell it from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
+        low, high = effect.get("posterior_range", (effect["posterior"],) * 2)
+        scan = f" ({low:.2f} to {high:.2f} with prior widths 3 times wider or narrower)" if high - low > 0.01 else ""
+        lines.append(f"    posterior {effect['posterior']:.3f}{scan}{also}")
+    if result["leftover"]:
+        lines.append(f"  left over: {result['leftover']}")
+    lines += _candidate_lines(result["candidates"])
+    lines += ["", f"not observable with these captures: {', '.join(result['unobservable']) or 'none'}"]
+    lines += next_lines(result["next_captures"])
+    lines += ["", *ladder_table(result["ladder"])]
+    lines += [f"note: {note}" for note in result["notes"]]
+    if hint and result["effects"]:
+        first = result["effects"][0]["name"]
+        lines += ["", f"next: isetval add {hint['model']} {first} --from {hint['diagnosis']} -o model2.toml"]
+    return lines
+
+
+def _candidate_lines(candidates: Sequence[Mapping[str, Any]], count: int = 8) -> list[str]:
+    seen = [c for c in candidates if c["observable"]]
+    if not seen:
+        return []
+    body = []
+    for c in sorted(seen, key=lambda c: (c["p_corrected"], -(c["dchi2"] or 0)))[:count]:
+        estimate = ", ".join(f"{k} {with_sigma(p['value'], p['sigma'])}" for k, p in c["estimate"].items())
+        posterior = "" if c["posterior"] is None else f"{c['posterior']:.3f}"
+        body.append((c["name"], estimate, f"{c['dchi2']:.1f}", f"{c['p_corrected']:.2g}", posterior))
+    header = ("candidate", "one-step estimate", "dchi2", "p (look-elsewhere)", "posterior")
+    return ["", f"# suspects (of {len(seen)} observable candidates)", *text_table(header, body)]
+
+
+def demo_lines(result: Mapping[str, Any]) -> list[str]:
+    """The end of the demo in words: before, verdict, ladder, reveal, report."""
+    diagnosis, hidden = result["diagnosis"], result["hidden"]
+    lines = ["", f"# verdict: {diagnosis['verdict']} - {VERDICT_WORDS[diagnosis['verdict']]}"]
+    for effect in diagnosis["effects"]:
+        also = f"; not to be told from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
+        lines.append(f"  {effect_words(effect)} (posterior {effect['posterior']:.2f}{also})")
+    if diagnosis["leftover"]:
+        lines.append(f"  left over: {diagnosis['leftover']}")
+    held = [row for row in result["after"]["ladder"] if row["role"] == "prediction"]
+    lines += ["", *ladder_table(held), ""]
+    named = [e["name"] for e in diagnosis["effects"]]
+    right = hidden["name"] in named or any(hidden["name"] in e["equivalent"] for e in diagnosis["effects"])
+    truth = ", ".join(f"{k} {p['value']:.4g} {p['unit']}" for k, p in hidden["parameters"].items())
+    lines.append(f"# hidden was: {hidden['name']} ({truth}) - {'found' if right else 'NOT found'}")
+    memory = f", {result['peak_memory_mb']:.0f} MB" if result.get("peak_memory_mb") else ""
+    return [*lines, f"report: {result['report']}", f"({result['seconds']:.0f} s{memory}; files in {result['folder']})"]

@@ -1,0 +1,215 @@
+"""The whole loop on the embedded campaign: a camera with one hidden effect is measured, compared, diagnosed, mended."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isetval.core.effect import Effect
+from isetval.core.errors import InputError
+from isetval.core.jsonable import plain
+from isetval.core.paths import data_folder
+from isetval.core.writing import write_whole
+
+if TYPE_CHECKING:
+    from isetval.camera.model import CameraModel
+    from isetval.core.campaign import Campaign
+    from isetval.loop import Diagnosis
+    from isetval.loop.comparison import Comparison
+
+Say = Callable[[str], None]
+DEFAULT_SEED = 4
+SPECIMEN = 1
+HIDDEN: tuple[tuple[str, Mapping[str, float]], ...] = (
+    ("vignetting", {"v": 0.1}),
+    ("microlens", {"m_red": 0.09, "m_green": 0.06, "m_blue": 0.04}),
+    ("nonlinearity", {"a": 0.015}),
+    ("temporal_row_noise", {"sigma_dn": 0.4}),
+    ("dark_current", {"rate_e_per_s": 2.0}),
+    ("read_noise", {"sigma_e": 3.6}),
+    ("black_level", {"offset_dn": 0.6}),
+    ("prnu", {"sigma_percent": 1.0}),
+    ("column_fpn", {"sigma_dn": 0.35}),
+    ("row_fpn", {"sigma_dn": 0.35}),
+)
+"""What may be hidden: effects of the catalogue that the embedded plan can name, at sizes met in practice."""
+MARKER = "demo.json"
+
+
+def draw_hidden(nominal: CameraModel, seed: int) -> Effect:
+    """The hidden effect of a seed: every tenth seed hides the same one, at a strength between 0.8 and 1.25 of the list's."""
+    from isetval.camera.model_file import make_effect
+
+    name, values = HIDDEN[seed % len(HIDDEN)]
+    factor = float(np.exp(np.random.default_rng([seed, 0xDE30]).uniform(np.log(0.8), np.log(1.25))))
+    standing = nominal.effect(name)
+    start = {p: standing.values()[p] if standing is not None else 0.0 for p in values}
+    moved = {p: start[p] + (value - start[p]) * factor for p, value in values.items()}
+    return standing.changed(**moved) if standing is not None else make_effect(name, moved, "demo")
+
+
+def run_demo(
+    seed: int,
+    *,
+    folder: Path,
+    jobs: int = 1,
+    step: Say | None = None,
+    say: Say | None = None,
+    plan: Campaign | None = None,
+) -> dict[str, Any]:
+    """Run the loop and leave everything it made in ``folder``.
+
+    Parameters
+    ----------
+    seed : int
+        Draws the hidden effect, its strength and the laboratory's errors.
+    folder : path
+        New, empty, or left by an earlier demo.
+    jobs : int
+        Worker processes.
+    step, say : callable, optional
+        Told each step of the story, and what is being computed.
+    plan : Campaign, optional
+        In place of the embedded one; needs two measurement sessions.
+
+    Returns
+    -------
+    dict
+        ``hidden``, ``before``, ``diagnosis``, ``after``, ``ladder``, ``report`` (path), ``folder``, ``seconds``.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else or cannot be written.
+    """
+    import isetval
+
+    step, say = step or _silent, say or _silent
+    began = time.perf_counter()
+    if seed < 0:
+        raise InputError(f"seed is {seed}; it needs 0 or more")
+    _make_room(folder)
+    nominal = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    plan = plan or isetval.load_campaign(data_folder() / "demo" / "plan.toml")
+    hidden = draw_hidden(nominal, seed)
+    step(f"1  shooting {len(plan.shots)} set-ups with a camera in which one effect is hidden (seed {seed})")
+    campaign = _shoot(nominal.with_effect(hidden), plan, seed, folder)
+    nominal.save(folder / "nominal.toml")
+    before, diagnosis, after, model = _loop(nominal, campaign, folder, jobs, step, say)
+    result = {
+        "kind": "demo",
+        "seed": seed,
+        "hidden": _hidden_entry(hidden, nominal),
+        "before": before.to_json(),
+        "diagnosis": {"model": nominal.name, "campaign": campaign.name, **diagnosis.to_json()},
+        "after": after.to_json(),
+        "ladder": [vars(row) for row in after.ladder],
+        "report": str((folder / "report.html").resolve()),
+        "folder": str(folder),
+        "added": model.name if model is not nominal else None,
+    }
+    step("6  drawing the report")
+    return _finish(plain(result), folder, began)
+
+
+def _silent(_: str) -> None:
+    return None
+
+
+def _make_room(folder: Path) -> None:
+    """An empty folder; what an earlier demo left is replaced, anything else is refused."""
+    try:
+        if folder.is_dir() and any(folder.iterdir()):
+            if not (folder / MARKER).is_file():
+                raise InputError(f"{folder}: holds other things than an earlier demo; name another folder with -o")
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / MARKER, "{}\n")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder with -o") from None
+
+
+def _shoot(camera: CameraModel, plan: Campaign, seed: int, folder: Path) -> Campaign:
+    """The captures as DNG files: from here on nothing but the files is used."""
+    import isetval
+    from isetval.files.campaign_writer import write_campaign
+
+    shot = isetval.simulate(camera, plan, seed, draw=True, sensor_seed=SPECIMEN + seed)
+    write_campaign(replace(shot, provenance={}), folder / "captures", remarks=["Shot by `isetval demo` with a hidden effect."])
+    captured: Campaign = isetval.load_campaign(folder / "captures")
+    return captured
+
+
+def _loop(
+    nominal: CameraModel, campaign: Campaign, folder: Path, jobs: int, step: Say, say: Say
+) -> tuple[Comparison, Diagnosis, Comparison, CameraModel]:
+    import isetval
+    from isetval.loop.comparison import comparison_of, prepare
+
+    first, second = campaign.sessions[:2]
+    with prepare(nominal, campaign.session(second), jobs=jobs, say=say) as held:
+        step("2  comparing the nominal camera with the captures of the second session")
+        before = comparison_of(held, [nominal])
+        step("3  diagnosing on the first session: which effect is missing?")
+        diagnosis = isetval.diagnose(nominal, campaign.session(first), held, jobs=jobs, say=say)
+        model = _add(nominal, diagnosis, campaign, folder, step)
+        step("5  comparing again, on captures that nothing was fitted to")
+        after = comparison_of(held, [nominal] if model is nominal else [nominal, model])
+    return before, diagnosis, after, model
+
+
+def _add(nominal: CameraModel, diagnosis: Diagnosis, campaign: Campaign, folder: Path, step: Say) -> CameraModel:
+    import json
+
+    import isetval
+    from isetval.loop.adding import add_effect, from_diagnosis
+
+    file = folder / "diagnosis.json"
+    written = {"kind": "diagnose", "model": nominal.name, "model_sha256": nominal.digest(), "campaign": campaign.name}
+    write_whole(file, json.dumps(plain(written | diagnosis.to_json()), indent=1) + "\n")
+    model: CameraModel = isetval.load_model(folder / "nominal.toml")
+    if not diagnosis.effects:
+        step(f"4  nothing is added: the verdict is {diagnosis.verdict}")
+        return nominal
+    for effect in diagnosis.effects:
+        step(f"4  adding {effect.name} to the model file")
+        model = add_effect(model, from_diagnosis(effect.name, file), output=folder / f"nominal+{effect.name}.toml")
+    return model
+
+
+def _hidden_entry(hidden: Effect, nominal: CameraModel) -> dict[str, Any]:
+    standing = nominal.effect(hidden.name)
+    units = {p.name: p.unit for p in hidden.parameters()}
+    parameters = {
+        name: {"value": value, "unit": units[name], "nominal": None if standing is None else standing.values()[name]}
+        for name, value in hidden.values().items()
+        if standing is None or value != standing.values()[name]
+    }
+    return {"name": hidden.name, "parameters": parameters}
+
+
+def _finish(result: dict[str, Any], folder: Path, began: float) -> dict[str, Any]:
+    import json
+
+    from isetval.app.report import write_report
+
+    result["seconds"] = time.perf_counter() - began
+    result["peak_memory_mb"] = _peak_memory_mb()
+    write_report([result], folder / "report.html")
+    write_whole(folder / MARKER, json.dumps(result, indent=1, allow_nan=False) + "\n")
+    return result
+
+
+def _peak_memory_mb() -> float | None:
+    """Largest memory of this process and of its largest worker, MB (None where the system does not say)."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    return sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024

@@ -1,0 +1,59 @@
+"""One self-contained page from results: no server, no network, opens in five years."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from isetval.core.errors import InputError
+
+__all__ = ["report_html", "write_report"]
+
+
+def report_html(results: Sequence[Mapping[str, Any]]) -> str:
+    """The page as text.
+
+    Parameters
+    ----------
+    results : sequence of mapping
+        Results of measure, compare, diagnose or demo as the command line writes them.
+
+    Raises
+    ------
+    InputError
+        If none of the results can be drawn.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+    from markupsafe import Markup
+
+    from isetval.app.report.content import page_content
+
+    known = [r for r in results if r.get("kind") == "demo" or "verdict" in r or "ladder" in r or r.get("kind") == "measure"]
+    if not known:
+        kinds = ", ".join(str(r.get("kind", "unknown")) for r in results) or "nothing"
+        raise InputError(f"a report needs results of measure, compare, diagnose or demo; found {kinds}")
+    environment = Environment(
+        loader=PackageLoader("isetval.app.report"),
+        autoescape=select_autoescape(),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    folder = Path(__file__).parent / "templates"
+    style, script = (Markup((folder / name).read_text(encoding="utf-8")) for name in ("report.css", "report.js"))
+    return environment.get_template("report.html").render(page_content(known), style=style, script=script)
+
+
+def write_report(results: Sequence[Mapping[str, Any]], path: Path | str) -> Path:
+    """Write the page, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If nothing can be drawn or the file cannot be written.
+    """
+    from isetval.core.writing import write_whole
+
+    write_whole(path, report_html(results))
+    return Path(path)

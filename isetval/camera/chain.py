@@ -1,0 +1,303 @@
+"""Running a model's chain on one shot: mean electrons behind the colour filters, then the electronics.
+
+Everything in front of the electronics is deterministic and is computed once per shot content; the
+electronics run frame by frame in blocks of rows of the full-sensor grid, each with its own streams.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.campaign import Light, Shot
+from isetval.core.context import Context, Mode
+from isetval.core.effect import Effect
+from isetval.core.errors import InputError
+from isetval.core.hashing import content_hash
+from isetval.core.scene import RenderedTarget, Scene
+from isetval.core.sensor import Sensor
+from isetval.core.signal import Signal
+from isetval.core.streams import TILE_ROWS
+from isetval.scenes.planar import build_scene, mean_radiance, planar_radiance
+from isetval.scenes.render.render_passes import DRAWS
+from isetval.scenes.render.render_passes import Progress as RenderProgress
+
+Float = NDArray[np.float64]
+FRONT = ("scene", "optics", "pixel")
+FIELD_PX = 32  # pixels along the longer side of the coarse full field
+BAND_BUDGET = 6_000_000  # spectral samples held at once
+CACHE_BYTES = 600_000_000
+
+
+class Camera(Protocol):
+    """What a chain is run on: a sensor and its effects in the order in which light and charge meet them."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        ...
+
+    @property
+    def sensor(self) -> Sensor:
+        """Geometry and levels."""
+        ...
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """In order."""
+        ...
+
+    @property
+    def wavelength_nm(self) -> Float:
+        """Bands of the light, (bands,)."""
+        ...
+
+
+def occurrences(effects: tuple[Effect, ...]) -> tuple[int, ...]:
+    """How often the same effect stands before each one: part of the key of its random streams."""
+    names = [e.name for e in effects]
+    return tuple(names[:i].count(name) for i, name in enumerate(names))
+
+
+@dataclass(frozen=True, eq=False)
+class ShotSetup:
+    """A shot with what is known about it: its light and the values of its nuisances."""
+
+    shot: Shot
+    light: Light | None = None
+    nuisance: Mapping[str, float] = field(default_factory=dict)
+
+    def digest(self) -> str:
+        """SHA-256 of all that decides the shot's light (not its frames, files or name, nor where the light's table lies)."""
+        return self._digest
+
+    @cached_property
+    def _digest(self) -> str:
+        shot = self.shot
+        known = (shot.role, shot.exposure, shot.light_level, shot.rotation_deg, shot.window, shot.target, shot.focus_um)
+        return content_hash((known, shot.distance_m, None if self.light is None else self.light.radiance, self.nuisance))
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """How a rendered scene is asked for: who hears of its passes, and which draw of its error is added (None: no error)."""
+
+    progress: RenderProgress | None = None
+    draw: int | None = None
+
+
+class _Cache:
+    """Arrays by content, oldest out first, bounded in bytes."""
+
+    def __init__(self, limit: int) -> None:
+        self.limit, self.used = limit, 0
+        self.items: OrderedDict[Any, Float] = OrderedDict()
+
+    def get(self, key: Any) -> Float | None:
+        if key in self.items:
+            self.items.move_to_end(key)
+        return self.items.get(key)
+
+    def put(self, key: Any, value: Float) -> None:
+        self.items[key] = value
+        self.used += value.nbytes
+        while self.used > self.limit and len(self.items) > 1:
+            self.used -= self.items.popitem(last=False)[1].nbytes
+
+
+_MEANS = _Cache(CACHE_BYTES)
+
+
+def make_context(model: Camera, setup: ShotSetup, *, seed: int = 0, sensor_seed: int = 0, mode: Mode = "capture") -> Context:
+    """The context of a shot's whole window."""
+    shot = setup.shot
+    window = shot.window or (0, 0, model.sensor.rows, model.sensor.cols)
+    return Context(
+        sensor=model.sensor,
+        window=window,
+        exposure=shot.exposure,
+        shot=shot.name,
+        role=shot.role,
+        light=shot.light or "",
+        nuisance=setup.nuisance,
+        focus_um=shot.focus_um,
+        object_distance_m=shot.distance_m,
+        rotation_deg=shot.rotation_deg,
+        seed=seed,
+        sensor_seed=sensor_seed,
+        mode=mode,
+    )
+
+
+def front_effects(model: Camera) -> tuple[Effect, ...]:
+    """The effects up to the colour filter array."""
+    return tuple(e for e in model.effects if e.stage in FRONT)
+
+
+def mean_electrons(model: Camera, setup: ShotSetup, *, progress: RenderProgress | None = None) -> Float:
+    """Mean photo-electrons per frame, (rows, cols), float64; cached by content, read-only.
+
+    ``progress(done, total, words)`` is called after every pass of a renderer.
+    """
+    effects = front_effects(model)
+    key = (model.sensor, model.wavelength_nm.tobytes(), tuple(e.content() for e in effects), setup.digest())
+    found = _MEANS.get(key)
+    if found is None:
+        found = _front(model, effects, setup, Rendering(progress))
+        found.flags.writeable = False
+        _MEANS.put(key, found)
+    return found
+
+
+def _front(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, how: Rendering) -> Float:
+    whole = make_context(model, setup)
+    mean = _field_means(model, effects, setup) if any(e.uses_mean_irradiance for e in effects) else {}
+    row0, col0, rows, cols = whole.window
+    if isinstance(setup.shot.target, RenderedTarget):
+        step = rows
+    else:
+        step = max(1, min(rows, BAND_BUDGET // (cols * model.wavelength_nm.size)))
+    out = np.empty((rows, cols))
+    for top in range(0, rows, step):
+        part = (row0 + top, col0, min(step, rows - top), cols)
+        context = replace(whole, window=part, shot_window=whole.window)
+        signal = _run_front(model, effects, setup, context, mean, how)
+        out[top : top + part[2]] = signal.values.reshape(signal.values.shape[-2:])
+    return out
+
+
+def _run_front(
+    model: Camera,
+    effects: tuple[Effect, ...],
+    setup: ShotSetup,
+    context: Context,
+    mean: Mapping[int, Float],
+    how: Rendering,
+) -> Signal:
+    scene = _scene(model, effects, setup, context)
+    signal = _radiance(scene, context, how)
+    for i, (effect, nth) in enumerate(zip(effects, occurrences(effects), strict=True)):
+        if effect.stage != "scene":
+            own = context.for_effect(effect.name, nth)
+            signal = effect.apply(signal, replace(own, mean_irradiance=mean[i]) if i in mean else own)
+    return signal
+
+
+def _scene(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, context: Context) -> Scene:
+    scene = build_scene(setup.shot, setup.light, model.wavelength_nm, context)
+    for effect in effects:
+        if effect.stage == "scene":
+            scene = effect.apply_scene(scene, context)
+    return scene
+
+
+def _radiance(scene: Scene, context: Context, how: Rendering) -> Signal:
+    if isinstance(scene.target, RenderedTarget):
+        from isetval.scenes.render.rendered_target import rendered_radiance
+
+        return rendered_radiance(scene, context, progress=how.progress, draw=how.draw)
+    return planar_radiance(scene, context)
+
+
+def render_draws(model: Camera, setup: ShotSetup) -> Float:
+    """Mean electrons (draws, rows, cols) of a rendered shot with another error of the render in each.
+
+    The errors have the covariance of the render's own, over pixels and bands; see `Running.draws` of the render's passes.
+    """
+    effects = front_effects(model)
+    return np.stack([_front(model, effects, setup, Rendering(draw=i)) for i in range(DRAWS)])
+
+
+def _field_means(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup) -> dict[int, Float]:
+    """Mean irradiance (bands,) of the whole field in front of each effect that asks for it."""
+    factor = max(model.sensor.rows, model.sensor.cols) / FIELD_PX
+    rows, cols = (max(1, round(n / factor)) for n in (model.sensor.rows, model.sensor.cols))
+    coarse = Sensor(
+        rows, cols, model.sensor.pixel_um * factor, "MONO", ((0.0, 0.0), (0.0, 0.0)), model.sensor.white_dn, model.sensor.bits
+    )
+    context = replace(make_context(model, setup), sensor=coarse, window=(0, 0, rows, cols), shot_window=None)
+    scene = _scene(model, effects, setup, context)
+    if scene.target is None:
+        signal = planar_radiance(scene, context)
+    else:
+        signal = Signal.of(mean_radiance(scene)[:, None, None], "radiance", shape=(rows, cols), wavelength_nm=scene.wavelength_nm)
+    means: dict[int, Float] = {}
+    for i, effect in enumerate(effects):
+        if effect.stage != "optics":
+            continue
+        if effect.uses_mean_irradiance:
+            values = np.broadcast_to(signal.values, (scene.wavelength_nm.size, rows, cols))
+            means[i] = values.mean(axis=(1, 2))
+            context = replace(context, mean_irradiance=means[i])
+        signal = effect.apply(signal, context)
+    return means
+
+
+def electronics(model: Camera, mean: NDArray[Any], context: Context, *, factor: float = 1.0, threads: int = 1) -> NDArray[Any]:
+    """One frame's DN, (rows, cols), from mean photo-electrons times ``factor``.
+
+    Runs of effects without a halo go block by block (rows of the full-sensor grid, one stream per
+    block: the bits depend neither on ``threads`` nor on the other effects); an effect with a halo
+    sees the whole window.
+    """
+    dtype = np.float32 if context.mode == "capture" else np.float64
+    charge = np.multiply(mean, factor, out=np.empty(mean.shape, dtype), casting="same_kind")[None]
+    unit = "electron"
+    effects = [(e, n) for e, n in zip(model.effects, occurrences(model.effects), strict=True) if e.stage not in FRONT]
+    while effects:
+        run = _leading(effects)
+        effects = effects[len(run) :]
+        charge = _run_block_wise(run, charge, unit, context, threads)
+        unit = run[-1][0].gives
+    if unit != "dn":
+        raise InputError(f"model {model.name}: its electronics end in {unit}; a camera ends in dn")
+    return np.asarray(charge[0])
+
+
+def _leading(effects: list[tuple[Effect, int]]) -> list[tuple[Effect, int]]:
+    if effects[0][0].halo_px:
+        return effects[:1]
+    for i, (effect, _) in enumerate(effects):
+        if effect.halo_px:
+            return effects[:i]
+    return effects
+
+
+def _run_block_wise(
+    run: list[tuple[Effect, int]], charge: NDArray[Any], unit: str, context: Context, threads: int
+) -> NDArray[Any]:
+    row0, col0, rows, cols = context.window
+    if run[0][0].halo_px:
+        return _run(run, charge, unit, replace(context, shot_window=context.window))
+    edges = [row0, *range((row0 // TILE_ROWS + 1) * TILE_ROWS, row0 + rows, TILE_ROWS), row0 + rows]
+    out = charge
+
+    def block(i: int) -> None:
+        part = (edges[i], col0, edges[i + 1] - edges[i], cols)
+        rows_here = slice(edges[i] - row0, edges[i + 1] - row0)
+        own = replace(context, window=part, shot_window=context.window)
+        if own.previous is not None and own.previous.shape[0] == rows:
+            own = replace(own, previous=own.previous[rows_here])
+        out[:, rows_here] = _run(run, charge[:, rows_here], unit, own)
+
+    if threads > 1 and len(edges) > 4:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(block, range(len(edges) - 1)))
+    else:
+        for i in range(len(edges) - 1):
+            block(i)
+    return out
+
+
+def _run(run: list[tuple[Effect, int]], charge: NDArray[Any], unit: str, context: Context) -> NDArray[Any]:
+    signal = Signal.of(charge, unit)
+    for effect, nth in run:
+        signal = effect.apply(signal, context.for_effect(effect.name, nth))
+    return signal.values

@@ -1,0 +1,83 @@
+"""The frames of one shot: mean electrons through the electronics, frame by frame, into captures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.chain import Camera, ShotSetup, electronics, make_context, mean_electrons
+from isetval.core.campaign import Light, Shot
+from isetval.core.capture import Capture
+from isetval.core.context import Mode
+from isetval.core.rational import as_rational_time
+from isetval.core.sensor import Exposure
+from isetval.core.streams import stream, word
+
+Float = NDArray[np.float64]
+BIG_PX = 1_000_000
+
+
+def expose(
+    model: Camera,
+    setup: ShotSetup,
+    seed: int = 0,
+    *,
+    mode: Mode = "capture",
+    sensor_seed: int | None = None,
+    frame_factors: Float | None = None,
+    previous: float = 0.0,
+    mean: Float | None = None,
+) -> tuple[Capture, ...]:
+    """The frames of one shot.  ``previous`` is the mean charge of the shot before it, in e-; ``mean`` replaces the light."""
+    shot = setup.shot
+    mean = mean_electrons(model, setup) if mean is None else mean
+    context = make_context(model, setup, seed=seed, sensor_seed=seed if sensor_seed is None else sensor_seed, mode=mode)
+    gaussian = bool(mean.mean() > 30)
+    threads = min(2, os.cpu_count() or 1) if mean.size > BIG_PX else 1
+    frames = []
+    for frame in range(shot.frames):
+        before = np.full((1, 1), previous) if frame == 0 else mean
+        factor = 1.0 if frame_factors is None else frame_factors[frame]
+        own = replace(context, frame=frame, previous=before, poisson_gaussian=gaussian)
+        dn = electronics(model, mean, own, factor=float(factor), threads=threads)
+        if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
+            dn = dn + stream(seed, word("dither"), word(shot.name), frame).random(dn.shape) - 0.5
+        frames.append(_capture(model, setup, dn, seed, frame))
+    return tuple(frames)
+
+
+def _capture(model: Camera, setup: ShotSetup, dn: NDArray[Any], seed: int, frame: int) -> Capture:
+    shot = setup.shot
+    np.rint(dn, out=dn)
+    codes = np.clip(dn, 0, 65535, out=dn).astype(np.uint16)
+    provenance = {"maker": "isetval", "model": model.name, "shot": shot.name, "seed": seed, "frame": frame}
+    row0, col0 = (shot.window or (0, 0))[:2]
+    return Capture(codes, model.sensor, (row0, col0), stored_exposure(shot.exposure), provenance)
+
+
+def stored_exposure(exposure: Exposure) -> Exposure:
+    """The exposure as a DNG holds it: times as 32-bit rationals."""
+    if exposure.time_s is None:
+        return exposure
+    return replace(exposure, time_s=float(as_rational_time(exposure.time_s)))
+
+
+def expected_dn(
+    model: Camera, shot: Shot, *, lights: Mapping[str, Light] | None = None, nuisance: Mapping[str, float] | None = None
+) -> Float:
+    """Noise-free DN of a shot, float64 (rows, cols); frame noise off, fixed pattern of seed 0 on."""
+    setup = ShotSetup(shot, (lights or {}).get(shot.light or ""), nuisance or {})
+    context = make_context(model, setup, mode="expected")
+    return np.asarray(electronics(model, mean_electrons(model, setup), context))
+
+
+def expose_shot(
+    model: Camera, shot: Shot, *, seed: int = 0, lights: Mapping[str, Light] | None = None, **more: Any
+) -> tuple[Capture, ...]:
+    """The frames of one shot of a plan with ``lights``."""
+    return expose(model, ShotSetup(shot, (lights or {}).get(shot.light or "")), seed, **more)

@@ -1,0 +1,100 @@
+"""Camera models as TOML files: read strictly, written back with the person's comments kept."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from isetval.camera.model import CameraModel
+from isetval.core.effect import Effect
+from isetval.core.errors import InputError
+from isetval.core.paths import resolve_path
+from isetval.core.sensor import Sensor
+from isetval.core.toml import check_keys, number, read_toml, text, texts
+
+_SENSOR_KEYS = ("rows", "cols", "pixel_um", "cfa", "black_dn", "white_dn", "bits")
+_STEP_KEYS = ("sigma", "provenance")
+
+
+def load_model(path: Path | str) -> CameraModel:
+    """Read a camera model (``camera.toml``).
+
+    Raises
+    ------
+    InputError
+        For a missing file, unknown keys or effects, values out of bounds or a badly ordered chain.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "camera.toml"
+    table = check_keys(read_toml(path), str(path), known=("name", "sensor", "effect", "notes"), needed=("sensor", "effect"))
+    sensor = read_sensor(table["sensor"], f"{path}: [sensor]")
+    if not isinstance(table["effect"], list):
+        raise InputError(f"{path}: effect is {table['effect']!r}; write each effect as its own [[effect]] table")
+    try:
+        effects = tuple(_effect(entry, path, i) for i, entry in enumerate(table["effect"], 1))
+        return CameraModel(text(table, "name", str(path), path.stem), sensor, effects, path=path)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+
+
+def read_sensor(table: Any, where: str) -> Sensor:
+    """A ``[sensor]`` table."""
+    table = check_keys(table, where, known=_SENSOR_KEYS, needed=("rows", "cols", "pixel_um", "cfa", "black_dn", "white_dn"))
+    for key in ("rows", "cols", "bits"):
+        if not isinstance(table.get(key, 10), int):
+            raise InputError(f"{where}: {key} is {table[key]!r}; it needs a whole number")
+    try:
+        return Sensor(
+            rows=table["rows"],
+            cols=table["cols"],
+            pixel_um=number(table, "pixel_um", where),
+            cfa=text(table, "cfa", where),
+            black_dn=table["black_dn"],
+            white_dn=number(table, "white_dn", where),
+            bits=table.get("bits") or max(1, int(number(table, "white_dn", where)).bit_length()),
+        )
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def make_effect(name: str, values: Mapping[str, Any], where: str, base: Path | None = None) -> Effect:
+    """An effect of the catalogue by name.
+
+    Raises
+    ------
+    InputError
+        For an unknown effect (with the nearest names), an unknown parameter or a value out of bounds.
+    """
+    from isetval.effects import catalogue
+
+    known = catalogue()
+    if name not in known:
+        import difflib
+
+        near = difflib.get_close_matches(name, known, n=3) or sorted(known)
+        raise InputError(f"{where}: effect {name!r} is unknown; near it: {', '.join(near)} (all: isetval effects)")
+    cls = known[name]
+    fields = {f.name for f in dataclasses.fields(cls) if f.name != "base"}
+    for key in values:
+        if key not in fields:
+            raise InputError(f"{where}: effect {name} has no {key!r}; it has {', '.join(sorted(fields))}")
+    settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    for key in cls.files():
+        if settings.get(key):
+            file = resolve_path(str(settings[key]), base or Path())
+            if not file.is_file():
+                raise InputError(f"{where}: effect {name}: {key} names {file}, which does not exist; correct the path")
+    settings["base"] = str(base or Path())
+    return cls(**settings)
+
+
+def _effect(entry: Any, path: Path, place: int) -> Effect:
+    where = f"{path}: [[effect]] number {place}"
+    if not isinstance(entry, dict) or "name" not in entry:
+        raise InputError(f"{where}: name is missing; see 'isetval effects' for the catalogue")
+    values = {key: value for key, value in entry.items() if key != "name" and key not in _STEP_KEYS}
+    texts(values, "fitted_to", where)
+    return make_effect(entry["name"], values, where, path.parent)

@@ -1,0 +1,166 @@
+"""A model shoots a plan: the result is a campaign like any other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.chain import ShotSetup, mean_electrons
+from isetval.camera.exposing import expose
+from isetval.camera.model import CameraModel
+from isetval.core.campaign import Campaign, Nuisance, Shot
+from isetval.core.capture import Capture
+from isetval.core.errors import InputError
+from isetval.core.streams import stream, word
+from isetval.scenes.render.render_passes import Progress as RenderProgress
+
+Float = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+
+def simulate(
+    model: CameraModel,
+    plan: Campaign,
+    seed: int = 0,
+    *,
+    values: Mapping[str, float] | None = None,
+    draw: bool = False,
+    sensor_seed: int | None = None,
+    progress: Progress | None = None,
+) -> Campaign:
+    """The captures that ``model`` would take of ``plan``.
+
+    Parameters
+    ----------
+    model : CameraModel
+    plan : Campaign
+        Its captures, if any, are ignored.
+    seed : int
+        Same seed, same bits.  Each effect has streams of its own.
+    values : mapping, optional
+        Values of nuisances by group label (`Nuisance.group`); all others are 0.
+    draw : bool
+        Draw the nuisances that ``values`` does not fix from their priors.
+    sensor_seed : int, optional
+        Seed of the fixed patterns (the specimen); by default ``seed``.
+    progress : callable, optional
+        Called as ``progress(shot name, done, all)``.
+
+    Returns
+    -------
+    Campaign
+        The plan with captures, on the model's sensor.
+
+    Raises
+    ------
+    InputError
+        If the plan's sensor is not the model's.
+    """
+    values = dict(values or {})
+    if draw:
+        values = draw_nuisances(plan, seed) | values
+    captures = {}
+    for i, (shot, frames) in enumerate(shoot(model, plan, seed, values=values, draw=draw, sensor_seed=sensor_seed)):
+        captures[shot.name] = frames
+        if progress is not None:
+            progress(shot.name, i + 1, len(plan.shots))
+    made = {"model": model.name, "model_sha256": model.digest(), "seed": seed, "nuisances": values}
+    return replace(plan, captures=captures, sensor=model.sensor, provenance=dict(plan.provenance) | made)
+
+
+def shoot(
+    model: CameraModel,
+    plan: Campaign,
+    seed: int = 0,
+    *,
+    values: Mapping[str, float] | None = None,
+    draw: bool = False,
+    sensor_seed: int | None = None,
+    rendering: RenderProgress | None = None,
+) -> Iterator[tuple[Shot, tuple[Capture, ...]]]:
+    """`simulate`, shot by shot: for campaigns that do not fit into memory.
+
+    ``rendering(done, total, words)`` is called after every pass of a renderer.
+    """
+    check_sensor(model, plan)
+    values = values or {}
+    camera = camera_with(model, plan, values)
+    previous = 0.0
+    for shot in plan.shots:
+        setup = shot_setup(plan, shot, values)
+        factors = frame_levels(plan, shot, seed) if draw else None
+        mean_electrons(camera, setup, progress=rendering)
+        frames = expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
+        yield shot, frames
+        if camera.effect("lag") is not None:
+            previous = float(mean_electrons(camera, setup).mean())
+
+
+def check_sensor(model: CameraModel, plan: Campaign) -> None:
+    """Refuse a plan that was made for another sensor."""
+    if plan.sensor is None:
+        return
+    mine, theirs = model.sensor, plan.sensor
+    for name in ("rows", "cols", "pixel_um", "cfa", "white_dn"):
+        if getattr(mine, name) != getattr(theirs, name):
+            raise InputError(
+                f"the plan {plan.name} has a sensor with {name} {getattr(theirs, name)}, the model {model.name} "
+                f"{getattr(mine, name)}; use the model that belongs to the plan"
+            )
+
+
+def camera_with(model: CameraModel, plan: Campaign, values: Mapping[str, float]) -> CameraModel:
+    """The model with the campaign's camera tolerances (nuisances ``effect.parameter``) applied."""
+    changes: dict[str, float] = {}
+    for nuisance in plan.nuisances:
+        label = f"{nuisance.parameter}@{nuisance.scope}:"
+        if "." in nuisance.parameter and label in values:
+            changes[nuisance.parameter] = model.value(nuisance.parameter) + values[label]
+    return model.with_values(changes) if changes else model
+
+
+def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotSetup:
+    """A shot with its light and the sum of its nuisance values over all scopes."""
+    nuisance: dict[str, float] = {}
+    for prior in plan.nuisances:
+        if "." in prior.parameter or prior.scope == "frame" or not prior.applies_to(shot):
+            continue
+        value = values.get(prior.group(shot), 0.0)
+        if value:
+            nuisance[prior.parameter] = nuisance.get(prior.parameter, 0.0) + value
+    return ShotSetup(shot, plan.lights.get(shot.light or ""), nuisance)
+
+
+def nuisance_groups(plan: Campaign) -> dict[str, Nuisance]:
+    """All values that share a label: label to prior (frame scope left out: it is marginalised)."""
+    groups: dict[str, Nuisance] = {}
+    for prior in plan.nuisances:
+        if prior.scope == "frame":
+            continue
+        if "." in prior.parameter:
+            groups[f"{prior.parameter}@{prior.scope}:"] = prior
+            continue
+        for shot in plan.shots:
+            if prior.applies_to(shot):
+                groups[prior.group(shot)] = prior
+    return groups
+
+
+def draw_nuisances(plan: Campaign, seed: int) -> dict[str, float]:
+    """One draw of every nuisance from its prior; each label has its own stream."""
+    return {
+        label: prior.sigma * stream(seed, word("nuisance"), word(label)).standard_normal()
+        for label, prior in nuisance_groups(plan).items()
+    }
+
+
+def frame_levels(plan: Campaign, shot: Shot, seed: int) -> Float:
+    """Relative light level of each frame, (frames,), drawn from the frame-scope priors."""
+    out = np.ones(shot.frames)
+    for prior in plan.nuisances:
+        if prior.scope == "frame" and prior.parameter == "light_level" and prior.applies_to(shot):
+            out *= 1 + prior.sigma * stream(seed, word("nuisance"), word(prior.group(shot))).standard_normal(shot.frames)
+    return out

@@ -1,0 +1,3 @@
+"""The version of the package: read by pyproject.toml, results and stores alike."""
+
+VERSION = "0.2.0"

@@ -1,0 +1,288 @@
+"""Campaign folders: ``campaign.toml`` beside its DNG files, read strictly and without loading them all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from isetval.camera.model_file import load_model, read_sensor
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.capture import Capture
+from isetval.core.errors import InputError
+from isetval.core.paths import resolve_path
+from isetval.core.scene import Target
+from isetval.core.sensor import Exposure, Sensor
+from isetval.core.spectrum import Spectrum, read_spectra
+from isetval.core.toml import check_keys, number, numbers, read_toml, text, texts
+from isetval.files.target_file import read_target
+
+_KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "notes")
+_SHOT_KEYS = (
+    "name", "role", "measurement_session", "setup", "light", "light_level", "exposure_s", "iso", "rotation_deg", "window",
+    "size", "frames", "files", "target", "focus_um", "distance_m", "repeat_of", "notes",
+)  # fmt: skip
+_NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "notes")
+
+
+def load_campaign(path: Path | str) -> Campaign:
+    """Read a campaign or a plan: a folder with ``campaign.toml``, or the file itself.
+
+    The DNG files are opened when their shot is measured; that they exist is checked here.
+
+    Raises
+    ------
+    InputError
+        For unknown keys, missing files, unknown lights or targets, or values that make no sense.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "campaign.toml"
+        if not path.is_file():
+            raise InputError(f"{path.parent}: holds no campaign.toml; make one with 'isetval campaign init {path.parent}'")
+    table = check_keys(read_toml(path), str(path), known=_KEYS, needed=("shot",))
+    sensor, camera = _sensor(table, path)
+    lights = {name: _light(name, entry, path) for name, entry in _tables(table, "light", path).items()}
+    targets = {name: read_target(name, entry, path) for name, entry in _tables(table, "target", path).items()}
+    if not isinstance(table["shot"], list) or not table["shot"]:
+        raise InputError(f"{path}: there is no [[shot]]; a campaign needs at least one")
+    shots = tuple(_shot(entry, f"{path}: [[shot]] number {i}", targets, path) for i, entry in enumerate(table["shot"], 1))
+    shots = _found_repeats(_told_apart(shots, table["shot"]))
+    sensor = sensor or _sensor_of_files(shots, path)
+    try:
+        campaign = Campaign(
+            name=text(table, "name", str(path), path.parent.name),
+            shots=tuple(_sized(shot, sensor, path) for shot in shots),
+            lights=lights,
+            nuisances=tuple(
+                _nuisance(entry, f"{path}: [[nuisance]] number {i}") for i, entry in enumerate(table.get("nuisance", []), 1)
+            ),
+            sensor=sensor,
+            camera=camera,
+            folder=path.parent,
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}" if not str(error).startswith(str(path)) else str(error)) from None
+    with_files = {shot.name: shot for shot in campaign.shots if shot.files}
+    return replace(campaign, captures=FileCaptures(with_files, sensor, path.parent)) if with_files else campaign
+
+
+class FileCaptures(Mapping[str, tuple[Capture, ...]]):
+    """The captures of a folder, decoded when asked for; nothing is kept in memory."""
+
+    def __init__(self, shots: Mapping[str, Shot], sensor: Sensor, folder: Path) -> None:
+        self._shots, self._sensor, self._folder = shots, sensor, folder
+
+    def __getitem__(self, name: str) -> tuple[Capture, ...]:
+        shot = self._shots[name]
+        return tuple(self.read(shot, file) for file in shot.files)
+
+    def read(self, shot: Shot, file: str) -> Capture:
+        """One frame, on the campaign's sensor; refused where file and plan disagree."""
+        from isetval.files.dng import place_on_sensor, read_dng
+
+        path = self._folder / file
+        capture = read_dng(path)
+        _check_exposure(capture.exposure, shot, path)
+        window = (shot.window or (0, 0))[:2]
+        placed: Capture = place_on_sensor(capture, self._sensor, (window[0], window[1]))
+        time_s = placed.exposure.time_s if placed.exposure.time_s is not None else shot.exposure.time_s
+        return replace(placed, exposure=replace(placed.exposure, time_s=time_s))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._shots)
+
+    def __len__(self) -> int:
+        return len(self._shots)
+
+    def __bool__(self) -> bool:
+        return bool(self._shots)
+
+    def values(self) -> Any:
+        """File names per shot (not the pixels: those are read on request)."""
+        return [shot.files for shot in self._shots.values()]
+
+
+def _check_exposure(found: Exposure, shot: Shot, path: Path) -> None:
+    for name, unit in (("time_s", "s"), ("iso", "")):
+        in_file, in_plan = getattr(found, name), getattr(shot.exposure, name)
+        if in_file is not None and in_plan is not None and abs(in_file - in_plan) > 1e-4 * in_plan:
+            raise InputError(
+                f"{path}: its {name} is {in_file:g} {unit}, campaign.toml says {in_plan:g} for shot {shot.name}; "
+                "correct the one that is wrong"
+            )
+
+
+def _sensor(table: Mapping[str, Any], path: Path) -> tuple[Sensor | None, str]:
+    camera = text(table, "camera", str(path))
+    if "sensor" in table:
+        return read_sensor(table["sensor"], f"{path}: [sensor]"), camera
+    if camera:
+        return load_model(resolve_path(camera, path.parent)).sensor, camera
+    return None, ""
+
+
+def _sensor_of_files(shots: tuple[Shot, ...], path: Path) -> Sensor:
+    files = [file for shot in shots for file in shot.files]
+    if not files:
+        raise InputError(f"{path}: neither camera nor [sensor] nor any file says what the sensor is; name a camera model")
+    return _first_readable(files, path).sensor
+
+
+def _first_readable(files: Sequence[str], path: Path) -> Capture:
+    """The first capture that can be read: one broken frame does not lose the others.
+
+    Raises
+    ------
+    InputError
+        The first file's reason, if none can be read.
+    """
+    from isetval.files.dng import read_dng
+
+    reasons = []
+    for file in files:
+        try:
+            capture: Capture = read_dng(path.parent / file)
+        except InputError as error:
+            reasons.append(error)
+        else:
+            return capture
+    raise reasons[0]
+
+
+def _tables(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, dict) or not all(isinstance(entry, dict) for entry in value.values()):
+        raise InputError(f"{path}: {key} needs tables with names, as [{key}.sphere]")
+    return value
+
+
+def _light(name: str, entry: Any, path: Path) -> Light:
+    where = f"{path}: [light.{name}]"
+    entry = check_keys(entry, where, known=("radiance", "column", "notes"), needed=("radiance",))
+    radiance = entry["radiance"]
+    if isinstance(radiance, int | float) and not isinstance(radiance, bool):
+        return Light(name, Spectrum.flat(float(radiance)))
+    file = text(entry, "radiance", where)
+    spectra = read_spectra(resolve_path(file, path.parent))
+    column = text(entry, "column", where) or next(iter(spectra))
+    if column not in spectra:
+        raise InputError(f"{where}: {file} has no column {column!r}; it has {', '.join(spectra)}")
+    return Light(name, spectra[column], file=str(resolve_path(file, path.parent)), column=column)
+
+
+def _nuisance(entry: Any, where: str) -> Nuisance:
+    entry = check_keys(entry, where, known=_NUISANCE_KEYS, needed=("parameter", "sigma", "scope"))
+    try:
+        return Nuisance(
+            parameter=text(entry, "parameter", where),
+            sigma=number(entry, "sigma", where),
+            unit=text(entry, "unit", where),
+            scope=text(entry, "scope", where),
+            distribution=text(entry, "distribution", where, "normal"),
+            roles=texts(entry, "roles", where),
+            lights=texts(entry, "lights", where),
+        )
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+
+
+def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> Shot:
+    entry = check_keys(entry, where, known=_SHOT_KEYS, needed=("role",))
+    files = texts(entry, "files", where)
+    for file in files:
+        if not (path.parent / file).is_file():
+            raise InputError(f"{where}: names {file}, which is not in {path.parent}; correct the name or put the file there")
+    target = text(entry, "target", where)
+    if target and target not in targets:
+        raise InputError(f"{where}: target {target!r} is not described; the file has: {', '.join(targets) or 'none'}")
+    frames = entry.get("frames", max(1, len(files)))
+    if not isinstance(frames, int) or (files and frames != len(files)):
+        raise InputError(f"{where}: frames is {frames!r} and it names {len(files)} files; they must agree")
+    name = text(entry, "name", where) or text(entry, "setup", where) or text(entry, "role", where)
+    try:
+        return Shot(
+            name=name,
+            role=text(entry, "role", where),
+            setup=text(entry, "setup", where) or name,
+            measurement_session=text(entry, "measurement_session", where, "A"),
+            exposure=Exposure(_optional(entry, "exposure_s", where), _optional(entry, "iso", where)),
+            frames=frames,
+            light=text(entry, "light", where) or None,
+            light_level=number(entry, "light_level", where, 1.0),
+            rotation_deg=number(entry, "rotation_deg", where, 0.0),
+            window=_window(entry, where),
+            target=targets[target] if target else None,
+            focus_um=number(entry, "focus_um", where, 0.0),
+            distance_m=_optional(entry, "distance_m", where),
+            repeat_of=text(entry, "repeat_of", where) or None,
+            files=files,
+        )
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+
+
+def _told_apart(shots: tuple[Shot, ...], entries: Sequence[Mapping[str, Any]]) -> tuple[Shot, ...]:
+    """Shots that the file gives no name are called by their set-up, numbered where that is not enough."""
+    given = {shot.name for shot, entry in zip(shots, entries, strict=True) if "name" in entry}
+    counts = Counter(shot.name for shot in shots)
+    out = []
+    for place, (shot, entry) in enumerate(zip(shots, entries, strict=True), 1):
+        alone = counts[shot.name] == 1 and shot.name not in given
+        own = shot if "name" in entry or alone else replace(shot, name=f"{shot.name}_{place}")
+        out.append(own if "setup" in entry else replace(own, setup=own.name))  # nothing said: a set-up of its own
+    return tuple(out)
+
+
+def _found_repeats(shots: tuple[Shot, ...]) -> tuple[Shot, ...]:
+    """``repeat_of`` may name a shot or a set-up: of a set-up, the shot of the same role, exposure, window and light level."""
+    names = {shot.name for shot in shots}
+
+    def twin(shot: Shot) -> str | None:
+        if shot.repeat_of is None or shot.repeat_of in names:
+            return shot.repeat_of
+        same = (shot.role, shot.exposure, shot.window, shot.light_level, shot.focus_um)
+        for other in shots:
+            if (
+                other.setup == shot.repeat_of
+                and (other.role, other.exposure, other.window, other.light_level, other.focus_um) == same
+            ):
+                return other.name
+        return shot.repeat_of
+
+    return tuple(replace(shot, repeat_of=twin(shot)) for shot in shots)
+
+
+def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:
+    return number(entry, key, where) if key in entry else None
+
+
+def _window(entry: Mapping[str, Any], where: str) -> tuple[int, int, int, int] | None:
+    if "window" not in entry and "size" not in entry:
+        return None
+    window = numbers(entry, "window", where, lengths=(2, 4)) if "window" in entry else (0.0, 0.0)
+    size = numbers(entry, "size", where, lengths=(2,)) if "size" in entry else window[2:] or (0.0, 0.0)
+    row0, col0, rows, cols = (int(v) for v in (*window[:2], *size))
+    return (row0, col0, rows, cols)
+
+
+def _sized(shot: Shot, sensor: Sensor, path: Path) -> Shot:
+    """The shot with a full window: from the plan, else from its first file, else the whole sensor."""
+    window = shot.window
+    if window is not None and window[2] > 0:
+        pass
+    elif shot.files:
+        origin = window[:2] if window else (0, 0)
+        window = (*origin, *_first_readable(shot.files, path).mosaic.shape)
+    elif window is None:
+        window = (0, 0, sensor.rows, sensor.cols)
+    else:
+        raise InputError(
+            f"shot {shot.name}: window {list(window[:2])} has no size and there are no files to take it from; add size"
+        )
+    row0, col0, rows, cols = window
+    if row0 < 0 or col0 < 0 or row0 + rows > sensor.rows or col0 + cols > sensor.cols:
+        raise InputError(f"shot {shot.name}: window {list(window)} leaves the sensor of {sensor.rows} x {sensor.cols} pixels")
+    return replace(shot, window=window)

@@ -1,0 +1,212 @@
+"""What a raw mosaic itself says about its quality: clipping, stuck or deviating lines, codes that never occur."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.files.dng.refusal import Remark
+
+Mosaic = NDArray[np.uint16]
+
+NEIGHBOURS = 8
+OUTLIER_SIGMAS = 8.0
+MISSING_CODES_LISTED = 16
+COMMON_COUNT, WIDEST_GAP = 30, 15
+CLIPPED_SHARE_NAMED = 1e-4
+NORMAL_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Clipping:
+    """Pixels of one colour plane at the ends of the scale: counts, and shares of the plane."""
+
+    plane: str
+    pixels: int
+    at_zero: int
+    at_white: int
+
+    @property
+    def share_at_zero(self) -> float:
+        """Share of the plane's pixels that are 0."""
+        return self.at_zero / self.pixels if self.pixels else 0.0
+
+    @property
+    def share_at_white(self) -> float:
+        """Share of the plane's pixels at or above the white level."""
+        return self.at_white / self.pixels if self.pixels else 0.0
+
+
+def clipping(capture: Capture) -> tuple[Clipping, ...]:
+    """Pixels of every colour plane at 0, and at or above the white level."""
+    white_dn = capture.sensor.white_dn
+    # most pictures have no such pixel at all, and two passes over the frame are quicker than eight over planes
+    zeros, whites = bool(capture.mosaic.min() == 0), bool(capture.mosaic.max() >= white_dn)
+    out = []
+    for plane in planes_of(capture):
+        view = plane_view(capture, plane)[0]
+        at_zero = int(np.count_nonzero(view == 0)) if zeros else 0
+        at_white = int(np.count_nonzero(view >= white_dn)) if whites else 0
+        out.append(Clipping(plane, view.size, at_zero, at_white))
+    return tuple(out)
+
+
+def clipping_remarks(counts: tuple[Clipping, ...]) -> list[Remark]:
+    """Sentences for planes with more than 1 pixel in 10 000 clipped."""
+    remarks = []
+    for code, end, share in (
+        ("clipped_at_zero", "0", "share_at_zero"),
+        ("clipped_at_white", "or above the white level", "share_at_white"),
+    ):
+        parts = [f"{c.plane} {getattr(c, share):.1%}" for c in counts if getattr(c, share) > CLIPPED_SHARE_NAMED]
+        if parts:
+            tail = "; noise and mean of dark pixels are not what they seem" if code == "clipped_at_zero" else ""
+            remarks.append(Remark(code, f"pixels at {end}: {', '.join(parts)}{tail}"))
+    return remarks
+
+
+def line_remarks(mosaic: Mosaic) -> list[Remark]:
+    """First and last rows and columns that are constant, or whose mean stands out of their neighbours'."""
+    rows, cols = mosaic.shape
+    remarks: list[Remark] = []
+    if min(rows, cols) < 4 * NEIGHBOURS:
+        return remarks
+    for axis, name in ((0, "row"), (1, "column")):
+        lines = mosaic if axis == 0 else mosaic.T
+        for index in (0, lines.shape[0] - 1):
+            words = _odd_line(lines, index)
+            if words:
+                remarks.append(Remark(f"outlier_{name}", f"{name} {index} {words}; leave it out of every region"))
+    return remarks
+
+
+def _odd_line(lines: Mosaic, index: int) -> str | None:
+    """Hold the step from a rim line to the next line of its CFA phase against the steps behind it.
+
+    A picture's own structure (gradients, texture, row noise) makes all steps alike; a bad line makes
+    the first one stand out.
+    """
+    phase = lines[index :: 2 if index == 0 else -2][: NEIGHBOURS + 1].astype(float)
+    line, behind = phase[0], phase[1:]
+    # a chance of 1e-6 that pixels like those behind would all have one value
+    if np.ptp(line) == 0 and line.size * np.log1p(-min(float(np.mean(behind != line[0])), 0.999)) < np.log(1e-6):
+        return f"holds {int(line[0])} everywhere"
+    steps = np.diff(phase, axis=0)
+    noise = max(float(NORMAL_MAD * np.median(np.abs(steps[1:] - np.median(steps[1:], axis=1, keepdims=True)))), 0.5)
+    shift, *usual_shift = np.median(steps, axis=1).tolist()
+    scatter = noise * np.sqrt(np.pi / 2 / line.size)
+    if abs(shift) > max(OUTLIER_SIGMAS * scatter, 4 * max(map(abs, usual_shift)), 1.0):
+        return f"lies {-shift:+.1f} DN from its neighbours"
+    share, *usual_share = np.mean(np.abs(steps) > OUTLIER_SIGMAS * noise, axis=1).tolist()
+    if share > max(0.1, 4 * max(usual_share)):
+        return f"holds garbage: {share:.0%} of its pixels lie more than {OUTLIER_SIGMAS:g} sigma from their neighbours"
+    return None
+
+
+@dataclass(frozen=True)
+class Codes:
+    """Use of the DN scale: ``missing`` are values between the lowest and the highest common one that never occur."""
+
+    lowest: int
+    highest: int
+    median: float
+    missing: tuple[int, ...]
+    missing_count: int
+
+
+def code_use(mosaic: Mosaic) -> Codes:
+    """Codes that never occur although their neighbours are common.
+
+    Only values between the 0.1 % and 99 % quantile are judged, and only gaps of at most 15 codes (a
+    shift by four bits) whose two ends occur at least 30 times each: a Poisson count of mean 30 is
+    zero with probability 1e-13, while the tails of a picture thin out before they end.
+    """
+    counts = np.bincount(mosaic.ravel(), minlength=2)
+    total = np.cumsum(counts)
+    quantile = np.searchsorted(total, np.array([0.001, 0.5, 0.99]) * total[-1])
+    used = np.flatnonzero(counts)
+    inside = np.arange(quantile[0], quantile[2] + 1)
+    gaps = inside[counts[inside] == 0]
+    at = np.searchsorted(used, gaps)
+    below, above = used[np.maximum(at - 1, 0)], used[np.minimum(at, len(used) - 1)]
+    missing = gaps[(np.minimum(counts[below], counts[above]) >= COMMON_COUNT) & (above - below <= WIDEST_GAP + 1)]
+    listed = tuple(int(v) for v in missing[:MISSING_CODES_LISTED])
+    return Codes(int(used[0]), int(used[-1]), float(quantile[1]), listed, len(missing))
+
+
+def code_remarks(codes: Codes) -> list[Remark]:
+    """A sentence if values never occur."""
+    if not codes.missing_count:
+        return []
+    listed = ", ".join(map(str, codes.missing)) + (" ..." if codes.missing_count > len(codes.missing) else "")
+    text = f"{codes.missing_count} values inside the used range never occur ({listed}): "
+    text += "the data were stretched or calibrated after the converter"
+    return [Remark("missing_codes", text)]
+
+
+def bad_pixels(capture: Capture) -> dict[str, int]:
+    """Pixels of every plane that stand out of their eight plane neighbours.
+
+    A pixel is ``hot`` (``dead``) if it lies above the largest (below the smallest) of its eight
+    neighbours of the same colour by more than eight times the typical range of such neighbours (one
+    sixth of it stands for sigma) and by more than 8 DN.  Rim pixels of a plane are not judged.
+    """
+    hot = dead = 0
+    for plane in planes_of(capture):
+        view = plane_view(capture, plane)[0]
+        if min(view.shape) < 3:
+            continue
+        middle = view[1:-1, 1:-1].astype(np.int32)
+        high, low = np.zeros_like(middle), np.full_like(middle, 65535)
+        for row in (0, 1, 2):
+            for col in (0, 1, 2):
+                if (row, col) == (1, 1):
+                    continue
+                part = view[row : row + middle.shape[0], col : col + middle.shape[1]]
+                high = np.maximum(high, part)
+                low = np.minimum(low, part)
+        span = high - low
+        # eight normal numbers span 2.85 sigma on average
+        sigma = np.maximum(span, float(np.median(span))) / 2.85
+        limit = np.maximum(OUTLIER_SIGMAS * sigma, 8.0)
+        hot += int(np.count_nonzero(middle - high > limit))
+        dead += int(np.count_nonzero(low - middle > limit))
+    return {"hot": hot, "dead": dead}
+
+
+def describe_capture(capture: Capture) -> dict[str, Any]:
+    """Everything this module can say about a capture, ready for JSON.
+
+    Returns
+    -------
+    dict
+        ``shape`` (rows, cols), ``cfa``, ``black_dn`` (per plane), ``white_dn``, ``exposure``,
+        ``clipped`` (per plane: counts and shares), ``bad_pixels`` (hot, dead), ``codes``
+        (lowest, highest, median, missing), ``warnings`` (code, message), ``provenance``.
+    """
+    counts = clipping(capture)
+    codes = code_use(capture.mosaic)
+    remarks = [*_stored(capture), *clipping_remarks(counts), *line_remarks(capture.mosaic), *code_remarks(codes)]
+    unique = list(dict.fromkeys(remarks))
+    focus_m = capture.exposure.focus_m
+    return {
+        "shape": list(capture.mosaic.shape),
+        "cfa": capture.sensor.cfa,
+        "bits": capture.sensor.bits,
+        "black_dn": {plane: plane_black_dn(capture, plane) for plane in planes_of(capture)},
+        "white_dn": capture.sensor.white_dn,
+        "exposure": asdict(capture.exposure) | ({"focus_m": "infinity"} if focus_m == np.inf else {}),
+        "clipped": {c.plane: asdict(c) | {"share_at_zero": c.share_at_zero, "share_at_white": c.share_at_white} for c in counts},
+        "bad_pixels": bad_pixels(capture),
+        "codes": asdict(codes),
+        "warnings": [asdict(r) for r in unique],
+        "provenance": {k: v for k, v in capture.provenance.items() if k != "warnings"},
+    }
+
+
+def _stored(capture: Capture) -> list[Remark]:
+    return [Remark(w["code"], w["message"]) for w in capture.provenance.get("warnings", ())]

@@ -1,0 +1,150 @@
+"""Adding an effect to a model file: value, sigma and where they come from."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from isetval.camera.model import CameraModel
+from isetval.camera.model_file import make_effect
+from isetval.camera.model_writer import save_model
+from isetval.core.effect import Effect
+from isetval.core.errors import InputError
+from isetval.core.hashing import file_hash
+
+
+@dataclass(frozen=True, eq=False)
+class NewValues:
+    """Values of an effect's parameters, what is known of their errors, and their origin."""
+
+    effect: str
+    values: Mapping[str, Any]
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""
+    fitted_to: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def words(self) -> str:
+        """The values on one line."""
+        parts = [f"{k} {v:.5g}" + (f" +- {self.sigma[k]:.2g}" if k in self.sigma else "") for k, v in self.values.items()]
+        return f"{self.effect} with {', '.join(parts)}" if parts else self.effect
+
+
+def from_diagnosis(effect: str, path: Path | str) -> NewValues:
+    """The values that a diagnosis found.
+
+    Raises
+    ------
+    InputError
+        If the file is no diagnosis, or does not name the effect.
+    """
+    result = read_result(path)
+    if "verdict" not in result or not isinstance(result.get("effects"), list):
+        raise InputError(f"{path}: is no result of 'isetval diagnose'; make one with -o")
+    named = {entry["name"]: entry for entry in result["effects"]}
+    if effect not in named:
+        also = sorted({e for entry in named.values() for e in entry["equivalent"]})
+        hint = f"; {effect} is only named as indistinguishable, so set its values with --set" if effect in also else ""
+        raise InputError(
+            f"{path}: names {', '.join(named) or 'no effect'} (verdict {result['verdict']}), "
+            f"not {effect}{hint or '; add one of those'}"
+        )
+    parameters = named[effect]["parameters"]
+    return NewValues(
+        effect,
+        {name: p["value"] for name, p in parameters.items()},
+        {name: p["sigma"] for name, p in parameters.items()},
+        source=f"diagnosed from the campaign {result.get('campaign', '(unnamed)')}",
+        fitted_to=(str(result.get("campaign", "diagnosis")),),
+        provenance={
+            "diagnosis": Path(path).name,
+            "diagnosis_sha256": file_hash(path),
+            "model_sha256": str(result.get("model_sha256", "")),
+            "posterior": named[effect]["posterior"],
+        },
+    )
+
+
+def from_settings(effect: str, settings: Sequence[str]) -> NewValues:
+    """Values from ``k=v`` words.
+
+    Raises
+    ------
+    InputError
+        For a word that is no ``k=v``, a value that is no number, or an unknown parameter.
+    """
+    effect_class = type(make_effect(effect, {}, "add"))
+    numbers = {p.name: p.unit for p in effect_class.parameters()}
+    values: dict[str, Any] = {}
+    for word in settings:
+        key, mark, value = word.partition("=")
+        if not mark:
+            raise InputError(f"--set {word}: no value; write parameter=value, as --set {next(iter(numbers), 'file')}=0.1")
+        if key in numbers:
+            try:
+                values[key] = float(value)
+            except ValueError:
+                raise InputError(f"--set {word}: {value!r} is no number; {key} needs one in {numbers[key]}") from None
+        elif key in (*effect_class.files(), "source"):
+            values[key] = value
+        else:
+            known = [*numbers, *effect_class.files(), "source"]
+            near = difflib.get_close_matches(key, known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise InputError(f"--set {word}: effect {effect} has no {key!r}; it has {', '.join(known)}{hint}")
+    source = str(values.pop("source", "set by hand"))
+    return NewValues(effect, values, source=source)
+
+
+def add_effect(model: CameraModel, new: NewValues, *, output: Path | str) -> CameraModel:
+    """The model with the effect added or changed, written to ``output`` with the comments of its own file.
+
+    Raises
+    ------
+    InputError
+        If a value is out of bounds, the chain becomes badly ordered, or the file cannot be written.
+    """
+    standing = model.effect(new.effect)
+    effect = _changed(standing, new) if standing is not None else _made(new)
+    name = Path(output).stem
+    made = replace(model.with_effect(effect), name=name if name != model.name else f"{name}+{new.effect}")
+    step: dict[str, Any] = {"sigma": dict(new.sigma)} if new.sigma else {}
+    if new.provenance:
+        step["provenance"] = dict(new.provenance)
+    save_model(made, output, steps={new.effect: step} if step else None)
+    return replace(made, path=Path(output))
+
+
+def _changed(effect: Effect, new: NewValues) -> Effect:
+    return effect.changed(**new.values, source=new.source, fitted_to=new.fitted_to)
+
+
+def _made(new: NewValues) -> Effect:
+    null = type(make_effect(new.effect, {}, "add"))
+    start = {p.name: p.null for p in null.parameters() if p.tau is not None and not p.shape} if new.fitted_to else {}
+    where = f"effect {new.effect}"
+    effect = make_effect(new.effect, start | dict(new.values), where, Path())
+    return effect.changed(source=new.source, fitted_to=new.fitted_to)
+
+
+def read_result(path: Path | str) -> dict[str, Any]:
+    """A result file of the command line.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is not a JSON object.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
+    except ValueError as error:
+        raise InputError(f"{path}: is no JSON file ({error}); results are written with -o NAME.json") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: holds no result of isetval (a JSON object is needed)")
+    return content

@@ -1,0 +1,191 @@
+"""What may be missing: effects of the catalogue that are absent, parameters of those that are present."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.model import CameraModel
+from isetval.core.effect import Effect, ParameterInfo
+from isetval.effects import catalogue
+from isetval.loop.fit import Fit, Free, far_values, is_focus, made_parallel
+from isetval.loop.prediction import NOISE_ROLES, RANDOM_SEEDS, SIGNATURE_SEEDS, Point
+from isetval.loop.problem import Problem
+
+Float = NDArray[np.float64]
+STRONG, WANTED = 80.0, 50.0
+LIKE_FOCUS, ALIGNMENTS = 0.9, 3  # cosine, times
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect that may be missing, or whose parameters may be wrong.
+
+    ``effect`` is the effect at its null (absent) or as it stands in the model (``present``);
+    ``parameters`` are those that are freed, ``nominal`` their values in the model.
+    """
+
+    name: str
+    effect: Effect
+    parameters: tuple[ParameterInfo, ...]
+    present: bool
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """``effect.parameter`` names."""
+        return tuple(f"{self.name}.{p.name}" for p in self.parameters)
+
+    @property
+    def nominal(self) -> Float:
+        """Parameter values before anything is fitted."""
+        return np.array([self.effect.values()[p.name] for p in self.parameters])
+
+    @property
+    def tau(self) -> Float:
+        """Prior standard deviations."""
+        return np.array([p.tau or 1.0 for p in self.parameters])
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether its single parameter can only grow from where it stands."""
+        return len(self.parameters) == 1 and self.nominal[0] <= self.parameters[0].low
+
+    def model_with(self, model: CameraModel) -> CameraModel:
+        """The model in which the effect exists (at its null where it was absent)."""
+        return model if model.effect(self.name) is not None else model.add(self.effect)
+
+    def free(self, steps: Sequence[float]) -> tuple[Free, ...]:
+        """Its parameters for a fit, with the catalogue's priors."""
+        return tuple(
+            Free(f"{self.name}.{p.name}", p.tau, float(step), center=float(value), low=p.low, high=p.high)
+            for p, step, value in zip(self.parameters, steps, self.nominal, strict=True)
+        )
+
+
+def candidates_for(model: CameraModel) -> tuple[Candidate, ...]:
+    """All candidates of a model, in the order of the catalogue."""
+    out = []
+    for name, cls in sorted(catalogue().items()):
+        if not cls.candidate:
+            continue
+        parameters = tuple(p for p in cls.parameters() if p.tau is not None and not p.shape)
+        if not parameters:
+            continue
+        standing = model.effect(name)
+        if standing is not None:
+            out.append(Candidate(name, standing, parameters, True))
+            continue
+        if any(f for f in cls.files()):
+            continue
+        effect = cls()
+        nulls: dict[str, Any] = {p.name: p.null for p in parameters}
+        out.append(Candidate(name, replace(effect, **nulls), parameters, False))
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """How a candidate would show: raw secants (metrics, parameters) per unit, and the steps they were taken at."""
+
+    candidate: Candidate
+    columns: Float
+    steps: Float
+
+
+def _steps(candidate: Candidate) -> Float:
+    steps = candidate.tau.copy()
+    for i, (p, value) in enumerate(zip(candidate.parameters, candidate.nominal, strict=True)):
+        if value + steps[i] > p.high:
+            steps[i] = -steps[i] if value - steps[i] >= p.low else (p.high - value) / 2
+    return steps
+
+
+def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float) -> list[Signature]:
+    """Signatures by simulation with common random numbers.
+
+    ``project`` (kept rows, k) is an orthonormal basis of what nuisances can do.  A secant that is far
+    outside the linear range (profiled length above 80 sigma) is taken again closer to the null.
+    """
+    steps = [_steps(c) for c in wanted]
+    columns = _secants(problem, point, wanted, steps)
+    for _ in range(2):
+        again = []
+        for i, column in enumerate(columns):
+            length = np.linalg.norm(_profiled(problem, column * steps[i], project), axis=0)
+            if np.any(length > STRONG):
+                ratio = WANTED / np.maximum(length, 1e-9)
+                closer = ratio if wanted[i].effect.random == "none" else np.sqrt(ratio)
+                steps[i] = steps[i] * np.where(length > STRONG, closer, 1.0)
+                again.append(i)
+        if not again:
+            break
+        for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
+            columns[i] = column
+    return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
+
+
+def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Signature]:
+    """Signatures made parallel to the focus errors that they imitate; see `isetval.loop.fit.made_parallel`.
+
+    Far from zero a secant of one parameter that looks like a focus error is first taken again from both sides,
+    in steps that change as much as those of the focus do.
+    """
+    focus = [problem.columns[f.key].slope for f in fitted.free if is_focus(f)]
+    out = list(made)
+    for key in far_values(fitted):
+        step = next(f.step for f in fitted.free if f.key == key)
+        column = problem.whitened(problem.columns[key].slope * step)
+        out = [_like_focus(problem, fitted.point, s, column) if len(s.steps) == 1 else s for s in out]
+    columns = [np.column_stack([made_parallel(problem, column, focus) for column in s.columns.T]) for s in out]
+    return [replace(s, columns=c) for s, c in zip(out, columns, strict=True)]
+
+
+def _like_focus(problem: Problem, point: Point, signature: Signature, column: Float) -> Signature:
+    rows, length = column != 0, float(np.linalg.norm(column))
+    for _ in range(ALIGNMENTS):
+        part = problem.whitened(signature.columns[:, 0] * signature.steps[0])[rows]
+        size = float(np.linalg.norm(part))
+        if size == 0 or abs(float(part @ column[rows])) < LIKE_FOCUS * size * length:
+            break
+        signature = _both_sides(problem, point, signature, signature.steps[0] * length / size)
+    return signature
+
+
+def _both_sides(problem: Problem, point: Point, signature: Signature, step: float) -> Signature:
+    """The derivative from both sides, or the signature as it is where the parameter has only one."""
+    candidate = signature.candidate
+    value, low, high = candidate.nominal[0], candidate.parameters[0].low, candidate.parameters[0].high
+    if not (low <= value - abs(step) and value + abs(step) <= high):
+        return signature
+    model = candidate.model_with(point.model)
+    points = [Point(model.with_values({candidate.keys[0]: value + h}), point.values) for h in (step, -step)]
+    up, down = problem.predictor.derivative_vectors(points, problem.seeds)
+    return Signature(candidate, np.nan_to_num((up - down) / (2 * step))[:, None], np.array([step]))
+
+
+def _profiled(problem: Problem, columns: Float, project: Float) -> Float:
+    white = problem.whitened(columns)
+    return np.asarray(white - project @ (project.T @ white))
+
+
+def _secants(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: Sequence[Float]) -> list[Float]:
+    """Raw secants; effects that draw random numbers are averaged over more seeds."""
+    out: dict[int, Float] = {}
+    for seeds, random in ((SIGNATURE_SEEDS, False), (RANDOM_SEEDS, True)):
+        chosen = [i for i, c in enumerate(wanted) if (c.effect.random != "none") == random]
+        if not chosen:
+            continue
+        points = [point]
+        for i in chosen:
+            model = wanted[i].model_with(point.model)
+            for key, value, h in zip(wanted[i].keys, wanted[i].nominal, steps[i], strict=True):
+                points.append(Point(model.with_values({key: value + h}), point.values))
+        vectors = iter(problem.predictor.derivative_vectors(points, seeds, roles=NOISE_ROLES if random else None))
+        here = next(vectors)
+        for i in chosen:
+            out[i] = np.nan_to_num(np.column_stack([(next(vectors) - here) / h for h in steps[i]]))
+    return [out[i] for i in range(len(wanted))]

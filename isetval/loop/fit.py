@@ -1,0 +1,302 @@
+"""Fitting nuisances and effect parameters: whitened residuals, priors, Gauss-Newton in a trust region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.model import CameraModel
+from isetval.camera.shooting import nuisance_groups
+from isetval.core.campaign import Campaign
+from isetval.core.errors import InputError
+from isetval.loop.prediction import Point
+from isetval.loop.problem import Column, Problem
+
+Float = NDArray[np.float64]
+CURVED = ("focus_um", "edge_shift_px", "edge_angle_deg")
+MAX_ITERATIONS, MAX_FAILURES = 20, 2
+RADIUS = 4.0  # prior sigmas
+STALE, FAR = 1.0, 3.0
+ALIKE = 0.995  # cosine
+CONVERGED = 0.02
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that a fit may move.
+
+    ``key`` is a nuisance label or ``effect.parameter``; ``prior`` its Gaussian prior's standard
+    deviation around ``center`` (None: none); ``step`` the size of the finite difference.
+    """
+
+    key: str
+    prior: float | None
+    step: float
+    center: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+
+    @property
+    def is_nuisance(self) -> bool:
+        """Whether it belongs to the shots, not to the model."""
+        return "@" in self.key
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where a fit ended.
+
+    ``z`` are whitened residuals (kept rows), ``residual`` the raw ones (all rows, nan where dropped);
+    ``chi2`` is z'z plus the priors' part; ``covariance`` is that of ``values`` in the order of ``free``.
+    """
+
+    point: Point
+    free: tuple[Free, ...]
+    values: Float
+    covariance: Float
+    prediction: Float
+    residual: Float
+    z: Float
+    jacobian: Float
+    chi2: float
+    converged: bool
+
+    def value(self, key: str) -> tuple[float, float]:
+        """Fitted value and standard deviation of a parameter."""
+        i = [f.key for f in self.free].index(key)
+        return float(self.values[i]), float(np.sqrt(self.covariance[i, i]))
+
+
+def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Free, ...]:
+    """The campaign's nuisances as free parameters; ``without`` names camera parameters that lose theirs."""
+    out = []
+    for label, prior in nuisance_groups(plan).items():
+        if "." in prior.parameter:
+            if prior.parameter in without:
+                continue
+            model.value(prior.parameter)
+        out.append(Free(label, prior.sigma, prior.sigma))
+    return tuple(out)
+
+
+def at(point: Point, free: Sequence[Free], values: Sequence[float]) -> Point:
+    """The point with parameters set (clipped to their bounds)."""
+    nuisances = dict(point.values)
+    camera: dict[str, float] = {}
+    for parameter, value in zip(free, values, strict=True):
+        clipped = float(np.clip(value, parameter.low, parameter.high))
+        (nuisances if parameter.is_nuisance else camera)[parameter.key] = clipped
+    model = point.model.with_values(camera) if camera else point.model
+    return Point(model, nuisances)
+
+
+def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, stale: float = STALE, both_sides: bool = False) -> Float:
+    """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
+
+    Columns of nuisances are remembered, and taken again where the problem bends: when one of `CURVED`
+    that shares rows with them has moved by more than ``stale`` of its prior sigmas.  With ``both_sides``
+    columns of effects are central differences: a variance goes as the square of its parameter.
+    """
+    moved = _moved(problem, point, free, stale)
+    wanted = [f for f in free if not f.is_nuisance or f.key not in problem.columns or f.key in moved]
+    raw = dict(zip((f.key for f in wanted), _slopes(problem, point, wanted, both_sides), strict=True))
+    here = {f.key: point.values.get(f.key, 0.0) for f in free if f.is_nuisance}
+    problem.columns.update({f.key: Column(raw[f.key], here) for f in wanted if f.is_nuisance})
+    focus = [problem.columns[f.key].slope for f in free if is_focus(f)]
+    raw |= {f.key: made_parallel(problem, raw[f.key], focus) for f in wanted if not f.is_nuisance}
+    if not free:
+        return np.zeros((problem.keep.size, 0))
+    return problem.whitened(np.column_stack([raw[f.key] if f.key in raw else problem.columns[f.key].slope for f in free]))
+
+
+def _moved(problem: Problem, point: Point, free: Sequence[Free], stale: float) -> set[str]:
+    """Nuisances whose remembered column no longer holds at a point."""
+    known = [(f.key, problem.columns[f.key]) for f in free if f.key in problem.columns]
+    curved = [f for f in free if f.key in problem.columns and _curved(f)]
+    rows = {key: column.slope != 0 for key, column in known}
+    out = set()
+    for key, column in known:
+        for f in curved:
+            distance = abs(point.values.get(f.key, 0.0) - column.taken_at.get(f.key, 0.0))
+            if distance > stale * (f.prior or f.step) and (f.key == key or np.any(rows[f.key] & rows[key])):
+                out.add(key)
+                break
+    return out
+
+
+def made_parallel(problem: Problem, column: Float, focus: Sequence[Float]) -> Float:
+    """A raw column (metrics,) of which the part that imitates a focus error is exactly parallel to that error's.
+
+    A defocus is told from an error of the focus scale by the scale's prior only; what the finite steps of the
+    two differ by, a percent of fifty sigmas, would count for more than the prior.
+    """
+    out = column
+    for slope in focus:
+        w, a = problem.whitened(slope), problem.whitened(out)
+        rows = w != 0
+        length = float(np.linalg.norm(w) * np.linalg.norm(a[rows]))
+        if length > 0 and abs(float(a[rows] @ w[rows])) > ALIKE * length:
+            out = np.where(slope != 0, slope * float(a[rows] @ w[rows]) / float(w @ w), out)
+    return np.asarray(out)
+
+
+def is_focus(f: Free) -> bool:
+    """Whether a parameter is an error of the focus scale."""
+    return f.key.startswith("focus_um@")
+
+
+def far_values(fitted: Fit) -> dict[str, float]:
+    """Focus errors that a fit moved by more than `FAR` of their prior's sigmas, to the nearest whole sigma."""
+    out = {}
+    for f in fitted.free:
+        unit = f.prior or f.step
+        if is_focus(f) and abs(fitted.value(f.key)[0]) > FAR * unit:
+            out[f.key] = unit * round(fitted.value(f.key)[0] / unit)
+    return out
+
+
+def _slopes(problem: Problem, point: Point, wanted: Sequence[Free], both_sides: bool) -> list[Float]:
+    """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked."""
+    points: list[Point] = [point]
+    steps, twice = [], []
+    for f in wanted:
+        value = point.values.get(f.key, 0.0) if f.is_nuisance else point.model.value(f.key)
+        up = f.step if value + f.step <= f.high else -f.step
+        steps.append(up)
+        points.append(at(point, [f], [value + up]))
+        twice.append(_curved(f) or (both_sides and not f.is_nuisance and f.low <= value - up <= f.high))
+        if twice[-1]:
+            points.append(at(point, [f], [value - up]))
+    vectors = iter(problem.predictor.derivative_vectors(points, problem.seeds))
+    here = next(vectors)
+    out = []
+    for up, symmetric in zip(steps, twice, strict=True):
+        ahead = next(vectors)
+        slope = (ahead - next(vectors)) / (2 * up) if symmetric else (ahead - here) / up
+        out.append(np.nan_to_num(slope))
+    return out
+
+
+def _curved(f: Free) -> bool:
+    return f.is_nuisance and f.key.split("@")[0] in CURVED
+
+
+def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
+    """Maximum a posteriori values of ``free`` by Gauss-Newton steps in a trust region, with re-simulated predictions.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : Point
+        Parameters start at the point's own values.
+    free : sequence of Free
+
+    Raises
+    ------
+    InputError
+        If nothing can be simulated at the start.
+
+    Notes
+    -----
+    Levenberg-Marquardt as a trust region of so many prior sigmas (More 1978): edges bend with focus, so
+    that a full step from far away would answer with shifts and turns of many sigmas, and stay there.
+    """
+    free = tuple(free)
+    state = _State.at(problem, start, free)
+    matrix = jacobian(problem, state.point(start, free), free)
+    radius, converged, failures = RADIUS, not free, 0
+    for _ in range(MAX_ITERATIONS if free else 0):
+        step, promised, length = _step(matrix, state, radius)
+        moved = state.moved(problem, start, free, step)
+        kept = (state.cost - moved.cost) / max(promised, 1e-300)
+        if promised < CONVERGED or abs(state.cost - moved.cost) < CONVERGED:
+            state = moved if moved.cost < state.cost else state
+            converged = True
+            break
+        if moved.cost < state.cost:
+            state, failures = moved, 0
+            if kept < 0.25:
+                radius = length / 2
+            elif kept > 0.75:
+                radius = max(radius, 2 * length)
+            matrix = jacobian(problem, state.point(start, free), free)
+        else:
+            failures += 1
+            if failures > MAX_FAILURES:
+                break
+            radius = length / 6
+            matrix = jacobian(problem, state.point(start, free), free, stale=0.0)
+    if any(not f.is_nuisance for f in free):
+        matrix = jacobian(problem, state.point(start, free), free, both_sides=True)
+    hessian = matrix.T @ matrix + np.diag(state.weight**2)
+    covariance: Float = np.asarray(np.linalg.pinv(hessian)) if free else np.zeros((0, 0))
+    residual = problem.measured - state.prediction
+    point = state.point(start, free)
+    return Fit(point, free, state.values, covariance, state.prediction, residual, state.z, matrix, state.cost, converged)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where a fit stands; ``weight`` are one over the priors' sigmas (0: none), ``unit`` what a long step is measured in."""
+
+    values: Float
+    weight: Float
+    unit: Float
+    center: Float
+    prediction: Float
+    z: Float
+    cost: float
+
+    @classmethod
+    def at(cls, problem: Problem, start: Point, free: tuple[Free, ...]) -> _State:
+        values = np.array([start.values.get(f.key, f.center) if f.is_nuisance else start.model.value(f.key) for f in free])
+        weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in free])
+        nothing = np.zeros(0)
+        unit = np.array([f.prior or f.step for f in free])
+        empty = cls(values, weight, unit, np.array([f.center for f in free]), nothing, nothing, np.inf)
+        found = empty.moved(problem, start, free, np.zeros(len(free)))
+        if not np.isfinite(found.cost):
+            raise InputError("the fit starts where nothing can be simulated; check the priors of the campaign's nuisances")
+        return found
+
+    def point(self, start: Point, free: tuple[Free, ...]) -> Point:
+        return at(start, free, list(self.values))
+
+    def moved(self, problem: Problem, start: Point, free: tuple[Free, ...], step: Float) -> _State:
+        """The state a step away, clipped to the parameters' bounds; infinitely dear where nothing can be simulated."""
+        values = np.clip(self.values + step, [f.low for f in free], [f.high for f in free])
+        (prediction,) = problem.predict([at(start, free, list(values))])
+        z = problem.whitened(problem.measured - prediction)
+        pulls = self.weight * (values - self.center)
+        cost = float(z @ z + pulls @ pulls)
+        return replace(self, values=values, prediction=prediction, z=z, cost=cost if np.isfinite(cost) else np.inf)
+
+
+def _step(matrix: Float, state: _State, radius: float) -> tuple[Float, float, float]:
+    """The Gauss-Newton step, shortened to ``radius`` sigmas of the priors; the fall of the cost it promises; its length."""
+    unit = state.unit
+    scaled = matrix * unit
+    pulls = state.weight * (state.values - state.center)
+    gradient = scaled.T @ state.z - state.weight * unit * pulls
+    size, along = np.linalg.eigh(scaled.T @ scaled + np.diag((state.weight * unit) ** 2))
+    size = np.maximum(size, 1e-12 * size[-1])
+    part = along.T @ gradient
+
+    def shortened(damping: float) -> Float:
+        return np.asarray(along @ (part / (size + damping)))
+
+    damping = 0.0
+    if np.abs(shortened(0.0)).max() > radius:
+        low, high = 1e-6, 1e-6
+        while np.abs(shortened(high)).max() > radius:
+            low, high = high, 10 * high
+        for _ in range(20):
+            damping = float(np.sqrt(low * high))
+            low, high = (damping, high) if np.abs(shortened(damping)).max() > radius else (low, damping)
+        damping = high
+    taken = shortened(damping)
+    promised = float(2 * gradient @ taken - np.sum(size * (along.T @ taken) ** 2))
+    return taken * unit, promised, float(np.abs(taken).max())

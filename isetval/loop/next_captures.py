@@ -1,0 +1,175 @@
+"""Find the further capture that would tell two candidates apart.
+
+Each proposal adds shots to the plan; the signatures of both candidates and the nuisances' are simulated
+on those shots alone, and the profiled cosine of the pair is computed again with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.shooting import simulate
+from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.errors import InputError
+from isetval.core.scene import EdgeTarget
+from isetval.core.sensor import Exposure
+from isetval.core.spectrum import Spectrum
+from isetval.loop.candidates import Signature, signatures
+from isetval.loop.fit import Fit, jacobian, nuisance_parameters
+from isetval.loop.prediction import Point, Predictor
+from isetval.loop.problem import Problem, make_problem
+from isetval.loop.result import NextCapture
+from isetval.loop.score_test import Frame, cosine, make_frame
+from isetval.measure.campaign import measure_campaign
+
+Float = NDArray[np.float64]
+REPLICAS = 3
+KEEP = 6
+WORTH = 0.02
+
+
+def proposals(plan: Campaign) -> Iterator[tuple[str, Campaign]]:
+    """Named extra captures for a plan, each as a small plan of its own."""
+    flats = [s for s in plan.shots if s.role == "flat"]
+    edges = [s for s in plan.shots if s.role == "edge"]
+    charts = [s for s in plan.shots if s.role == "chart"]
+    darks = [s for s in plan.shots if s.role == "dark"]
+    if flats:
+        far = sorted(flats, key=lambda s: _radius(s, plan), reverse=True)[:6]
+        yield "field flats with the camera rotated 180 deg", _plan(plan, far, "rotated", rotation_deg=180.0)
+        brightest = max(flats, key=lambda s: (s.exposure.time_s or 0) * s.light_level)
+        yield "flats above saturation", _plan(plan, [_longer(brightest, 2.0), _longer(brightest, 4.0)], "saturated")
+        ramp = [replace(brightest, light_level=brightest.light_level * f) for f in (0.06, 0.12, 0.25, 0.5, 0.75)]
+        yield "flats by light level at fixed exposure time", _plan(plan, ramp, "by level", setup=None)
+        ramp = [_longer(brightest, f) for f in (0.01, 0.03, 0.1, 0.3, 0.6)]
+        yield "flats by exposure time at fixed light, 16 frames", _plan(plan, ramp, "by time", frames=16)
+    if darks:
+        longest = max(darks, key=lambda s: s.exposure.time_s or 0)
+        more = [_longer(longest, f) for f in (0.001, 0.1, 1.0, 4.0)]
+        yield "dark series over four exposure times, 16 frames", _plan(plan, more, "dark series", frames=16)
+    if edges:
+        yield from _edge_proposals(plan, edges)
+    if charts:
+        narrow = _narrow_lights(plan, charts[0])
+        shots = [replace(charts[0], light=light.name) for light in narrow.values()]
+        yield (
+            "chart under three narrow-band lights",
+            _plan(replace(plan, lights={**plan.lights, **narrow}), shots, "narrow", setup=None),
+        )
+
+
+def _edge_proposals(plan: Campaign, edges: Sequence[Shot]) -> Iterator[tuple[str, Campaign]]:
+    first = edges[0]
+    sweep = [replace(first, focus_um=f) for f in (-12.0, -6.0, 0.0, 6.0, 12.0)]
+    yield "edges through focus, five steps", _plan(plan, sweep, "focus sweep")
+    narrow = _narrow_lights(plan, first)
+    shots = [replace(first, light=light.name) for light in narrow.values()]
+    yield (
+        "edges under three narrow-band lights",
+        _plan(replace(plan, lights={**plan.lights, **narrow}), shots, "narrow edges", setup=None),
+    )
+    turned = [replace(e, target=_turned(e)) for e in edges[:4]]
+    yield "horizontal and vertical edges at the same places", _plan(plan, turned, "turned")
+
+
+def _turned(shot: Shot) -> EdgeTarget:
+    target = shot.target
+    assert isinstance(target, EdgeTarget)
+    orientation = "horizontal" if target.orientation == "vertical" else "vertical"
+    return replace(target, orientation=orientation)
+
+
+def _narrow_lights(plan: Campaign, shot: Shot) -> dict[str, Light]:
+    base = plan.lights[shot.light or next(iter(plan.lights))].radiance
+    grid = np.arange(390.0, 711.0, 5.0)
+    total = float(np.trapezoid(base.at(grid), grid))
+    out = {}
+    for center in (460.0, 540.0, 620.0):
+        line = np.exp(-0.5 * ((grid - center) / 12.0) ** 2)
+        out[f"narrow {center:.0f} nm"] = Light(
+            f"narrow {center:.0f} nm", Spectrum(grid, 0.5 * total * line / np.trapezoid(line, grid))
+        )
+    return out
+
+
+def _longer(shot: Shot, factor: float) -> Shot:
+    return replace(shot, exposure=Exposure((shot.exposure.time_s or 0.001) * factor, shot.exposure.iso))
+
+
+def _radius(shot: Shot, plan: Campaign) -> float:
+    window, sensor = shot.window, plan.sensor
+    if window is None or sensor is None:
+        return 0.0
+    return float(np.hypot(window[0] + window[2] / 2 - sensor.rows / 2, window[1] + window[3] / 2 - sensor.cols / 2))
+
+
+def _plan(plan: Campaign, shots: Sequence[Shot], label: str, *, setup: str | None = "", **changes: object) -> Campaign:
+    new = []
+    for i, shot in enumerate(shots):
+        own = f"{label} {i}" if setup is None else label
+        new.append(replace(shot, name=f"{label} {i}", setup=own, repeat_of=None, files=(), **changes))  # type: ignore[arg-type]
+    return replace(plan, shots=tuple(new), captures={}, folder=None)
+
+
+def next_captures(problem: Problem, fitted: Fit, pairs: Sequence[tuple[Signature, Signature]]) -> list[NextCapture]:
+    """The proposals that lower the cosine of the given pairs most."""
+    if not pairs:
+        return []
+    nominal = problem.nominal
+    start = Point(nominal)
+    frame = make_frame(fitted)
+    before = {(a.candidate.name, b.candidate.name): _pair_cosine(problem, frame, a, b) for a, b in pairs}
+    out = []
+    for label, plan in proposals(problem.plan):
+        try:
+            extra = _extra(problem, plan, start)
+        except InputError:
+            continue
+        wanted = {s.candidate.name: s.candidate for pair in pairs for s in pair}
+        made = {
+            s.candidate.name: s for s in signatures(extra, start, list(wanted.values()), project=np.zeros((extra.keep.size, 0)))
+        }
+        for a, b in pairs:
+            names = (a.candidate.name, b.candidate.name)
+            after = _joint_cosine(problem, extra, fitted, (a, b), (made[names[0]], made[names[1]]))
+            if before[names] - after > WORTH:
+                out.append(NextCapture(label, names, before[names], after))
+    out.sort(key=lambda c: c.rho_before**2 - c.rho_after**2, reverse=True)
+    return out[:KEEP]
+
+
+def _extra(problem: Problem, plan: Campaign, start: Point) -> Problem:
+    shot = simulate(start.model, plan, seed=3)
+    predictor = Predictor(plan, measure_campaign(shot), jobs=1)
+    return make_problem(predictor, start, base=predictor.base(start, REPLICAS))
+
+
+def _pair_cosine(problem: Problem, frame: Frame, a: Signature, b: Signature) -> float:
+    return cosine(frame, problem.whitened(a.columns), problem.whitened(b.columns))
+
+
+def _joint_cosine(
+    problem: Problem, extra: Problem, fitted: Fit, pair: tuple[Signature, Signature], more: tuple[Signature, Signature]
+) -> float:
+    """The cosine on both plans together; nuisances with the same label are shared."""
+    own = list(fitted.free)
+    known = {f.key for f in own}
+    free_extra = nuisance_parameters(extra.plan, extra.nominal)
+    new = [f for f in free_extra if f.key not in known]
+    columns_extra = jacobian(extra, Point(extra.nominal), free_extra)
+    place = {f.key: i for i, f in enumerate([*own, *new])}
+    top = np.zeros((problem.keep.size, len(place)))
+    top[:, : len(own)] = fitted.jacobian
+    bottom = np.zeros((extra.keep.size, len(place)))
+    for i, f in enumerate(free_extra):
+        bottom[:, place[f.key]] = columns_extra[:, i]
+    weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in [*own, *new]])
+    q, _ = np.linalg.qr(np.vstack([top, bottom, np.diag(weight)[np.flatnonzero(weight)]]))
+    rows = problem.keep.size + extra.keep.size
+    frame = Frame(np.zeros(rows + np.count_nonzero(weight)), q, rows)
+    white = [np.vstack([problem.whitened(s.columns), extra.whitened(m.columns)]) for s, m in zip(pair, more, strict=True)]
+    return cosine(frame, white[0], white[1])

@@ -1,0 +1,136 @@
+"""A measured campaign, what a nominal model predicts for it, and the weights of the difference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.model import CameraModel
+from isetval.core.campaign import Campaign
+from isetval.core.errors import InputError
+from isetval.core.metric import MetricTable
+from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Raw derivatives (metrics,) by a nuisance, and the values of the nuisances where they were taken."""
+
+    slope: Float
+    taken_at: Mapping[str, float]
+
+
+@dataclass(eq=False)
+class Problem:
+    """A measured campaign, what a model predicts for it at ``origin``, and the weights of the difference."""
+
+    predictor: Predictor
+    origin: Point
+    base: Base
+    measured: Float
+    keep: NDArray[np.intp]
+    whiten: Float
+    anchor: Float
+    covariance: Float
+    seeds: tuple[int, ...] = DERIVATIVE_SEEDS
+    columns: dict[str, Column] = field(default_factory=dict)
+
+    @property
+    def nominal(self) -> CameraModel:
+        """The model of the origin."""
+        return self.origin.model
+
+    @property
+    def plan(self) -> Campaign:
+        """The plan behind the measured campaign."""
+        return self.predictor.plan
+
+    def predict(self, points: Sequence[Point]) -> list[Float]:
+        """Predictions (metrics,): the base plus differences with common random numbers."""
+        vectors = self.predictor.derivative_vectors(points, self.seeds)
+        # a row that cannot be measured at a point (a plane that saturates there) keeps the prediction of the origin
+        return [self.base.mean + np.nan_to_num(vector - self.anchor) for vector in vectors]
+
+    def whitened(self, vector: Float) -> Float:
+        """L^-1 of the kept rows of ``vector``, (metrics,) or (metrics, k)."""
+        return np.asarray(self.whiten @ vector[self.keep])
+
+
+def make_problem(
+    predictor: Predictor, origin: Point, *, base: Base | None = None, seeds: tuple[int, ...] = DERIVATIVE_SEEDS
+) -> Problem:
+    """Simulate the prediction at ``origin`` and weigh it; differences are taken with ``seeds``.
+
+    Raises
+    ------
+    InputError
+        If no measured row can be compared with a prediction.
+    """
+    base = base or predictor.base(origin)
+    (anchor,) = predictor.derivative_vectors([origin], seeds)
+    measured = predictor.table.values
+    variance = np.diag(base.covariance)
+    usable = (
+        ~_empty_counts(predictor.table, measured, base)
+        & np.isfinite(measured)
+        & np.isfinite(base.mean)
+        & np.isfinite(anchor)
+        & np.isfinite(variance)
+        & (variance > 0)
+    )
+    # what is only rounding is no measurement
+    usable &= variance > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
+    keep = np.flatnonzero(usable)
+    if keep.size == 0:
+        raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
+    problem = Problem(predictor, origin, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds)
+    weigh(problem)
+    return problem
+
+
+def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np.bool_]:
+    """Rows that count outliers where neither side has any: they hold no information and are not normal."""
+    counts = np.array([m.unit.startswith("2 sqrt(count") for m in table.metrics])
+    nothing = 2 * np.sqrt(0.375) + 1e-9
+    return np.asarray(counts & (measured <= nothing) & (base.values.max(axis=0) <= nothing))
+
+
+def weigh(problem: Problem) -> None:
+    """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
+    keep = problem.keep
+    covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
+    for column in _frame_columns(problem):
+        covariance = covariance + np.outer(column, column)
+    problem.covariance = covariance
+    covariance = covariance[np.ix_(keep, keep)]
+    scale = np.sqrt(np.diag(covariance))
+    lower = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-9 * np.eye(keep.size))
+    from scipy.linalg import solve_triangular
+
+    problem.whiten = np.asarray(solve_triangular(lower, np.diag(1 / scale), lower=True))
+
+
+def _frame_columns(problem: Problem) -> list[Float]:
+    """Columns of light that flickers from frame to frame: one random number per shot, sigma / sqrt(frames)."""
+    plan, predictor = problem.plan, problem.predictor
+    priors = [n for n in plan.nuisances if n.scope == "frame" and n.parameter == "light_level"]
+    if not priors:
+        return []
+    step = 0.01
+    brighter = replace(plan, shots=tuple(replace(s, light_level=s.light_level * (1 + step)) for s in plan.shots))
+    other = Predictor(brighter, predictor.table)
+    (moved,) = other.derivative_vectors([problem.origin], problem.seeds)
+    slope = (moved - problem.anchor) / step
+    out = []
+    for shot in predictor.shots:
+        sigma = np.sqrt(sum(n.sigma**2 for n in priors if n.applies_to(shot)) / shot.frames)
+        if sigma:
+            column = np.zeros_like(slope)
+            column[predictor.rows[shot.name]] = sigma * slope[predictor.rows[shot.name]]
+            out.append(column)
+    return out

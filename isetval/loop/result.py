@@ -1,0 +1,130 @@
+"""What the detective reports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from isetval.camera.model import CameraModel
+from isetval.core.effect import Effect
+from isetval.loop.ladder import LadderRow
+
+VERDICTS = ("consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed")
+
+
+@dataclass(frozen=True)
+class NamedParameter:
+    """A fitted parameter: absolute ``value`` with ``sigma``; ``nominal`` is where the model stood."""
+
+    value: float
+    sigma: float
+    unit: str
+    nominal: float
+
+    @property
+    def delta(self) -> float:
+        """Difference from the nominal value."""
+        return self.value - self.nominal
+
+
+@dataclass(frozen=True, eq=False)
+class NamedEffect:
+    """An effect that the data ask for, with those that would explain them as well.
+
+    ``posterior`` is of the class; ``posterior_range`` for prior widths three times narrower to wider.
+    """
+
+    name: str
+    parameters: Mapping[str, NamedParameter]
+    posterior: float
+    posterior_range: tuple[float, float]
+    equivalent: tuple[str, ...]
+    effect: Effect
+    present: bool
+    dchi2: float
+
+
+@dataclass(frozen=True)
+class CandidateRow:
+    """One line of the table of candidates."""
+
+    name: str
+    dchi2: float
+    dof: int
+    p_corrected: float
+    log_evidence: float | None
+    posterior: float | None
+    estimate: Mapping[str, tuple[float, float]]
+    smallest_detectable: float | None
+    observable: bool
+
+
+@dataclass(frozen=True)
+class NextCapture:
+    """A capture that would tell two candidates apart."""
+
+    capture: str
+    separates: tuple[str, str]
+    rho_before: float
+    rho_after: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The verdict and all that it rests on."""
+
+    verdict: str
+    effects: tuple[NamedEffect, ...]
+    candidates: tuple[CandidateRow, ...]
+    unobservable: tuple[str, ...]
+    next_captures: tuple[NextCapture, ...]
+    leftover: str | None
+    ladder: tuple[LadderRow, ...]
+    gate: Mapping[str, Any]
+    nominal: CameraModel
+    model: CameraModel
+    notes: tuple[str, ...] = ()
+    holdout_gain: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def apply(self) -> CameraModel:
+        """The nominal model with the named effects added."""
+        return self.model
+
+    def to_json(self) -> dict[str, Any]:
+        """The stable JSON form."""
+        return {
+            "verdict": self.verdict,
+            "effects": [_effect_json(e) for e in self.effects],
+            "unobservable": list(self.unobservable),
+            "next_captures": [
+                {"capture": c.capture, "separates": list(c.separates), "rho_before": c.rho_before, "rho_after": c.rho_after}
+                for c in self.next_captures
+            ],
+            "leftover": self.leftover,
+            "ladder": [vars(row) for row in self.ladder],
+            "candidates": [
+                vars(row) | {"estimate": {k: {"value": v, "sigma": s} for k, (v, s) in row.estimate.items()}}
+                for row in self.candidates
+            ],
+            "gate": dict(self.gate),
+            "holdout": dict(self.holdout_gain),
+            "notes": list(self.notes),
+            "settings": dict(self.settings),
+        }
+
+
+def _effect_json(effect: NamedEffect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "parameters": {
+            name: {"value": p.value, "sigma": p.sigma, "unit": p.unit, "nominal": p.nominal, "delta": p.delta}
+            for name, p in effect.parameters.items()
+        },
+        "posterior": effect.posterior,
+        "posterior_range": list(effect.posterior_range),
+        "equivalent": list(effect.equivalent),
+        "present_in_model": effect.present,
+        "dchi2": effect.dchi2,
+    }

@@ -1,0 +1,208 @@
+"""The outsider test: patterns without physics, scored on what is left over.
+
+Per metric family: mean, slope and curvature along every condition that varies, and single field points,
+patches, lights, channels and orientations.  A pattern that still stands out when every effect of the
+catalogue has been tried says "none of those I know", and says where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.metric import Metric
+from isetval.loop.problem import Problem
+from isetval.loop.score_test import Frame
+
+Float = NDArray[np.float64]
+AXES = {
+    "level": "light level",
+    "exposure_s": "exposure time",
+    "radius": "field radius",
+    "field_x_mm": "x",
+    "field_y_mm": "y",
+    "frequency_cy_px": "frequency",
+    "focus_um": "focus",
+}
+GROUPS = {
+    "channel": "channel",
+    "orientation": "orientation",
+    "light": "light",
+    "patch": "patch",
+    "setup": "set-up",
+    "region": "region",
+}
+MAX_PER_GROUP = 40
+RIPPLES = (1, 2)  # periods from the middle to the corner
+SURE = 1e-6
+ALLOWED = 1.1**2  # in the variance of a family
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A pattern over the metrics: ``values`` (metrics,) and what it says in words."""
+
+    words: str
+    values: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """A pattern that stands out of the residual."""
+
+    words: str
+    gain: float
+    p_corrected: float
+
+
+def templates(metrics: Sequence[Metric], predicted: Float, sigma: Float) -> Iterator[Template]:
+    """All patterns for a table; amplitudes are relative to the predicted value and in units of sigma."""
+    families = np.array([m.family for m in metrics])
+    size = np.where(np.abs(predicted) > 3 * sigma, np.abs(predicted), sigma)
+    for family in dict.fromkeys(families):
+        member = families == family
+        for amplitude, kind in ((size, "in proportion"), (sigma, "by sigma")):
+            base = np.where(member & np.isfinite(amplitude), amplitude, 0.0)
+            yield Template(f"{family}: all values ({kind})", base)
+            yield from _along_axes(metrics, family, member, base)
+        proportional = np.where(member & np.isfinite(size), size, 0.0)
+        yield from _ripples(metrics, family, member, proportional)
+        yield from _groups(metrics, family, member, proportional)
+
+
+def _axis(metrics: Sequence[Metric], name: str) -> Float:
+    if name == "radius":
+        return np.array([np.hypot(m.field_x_mm or 0.0, m.field_y_mm or 0.0) for m in metrics])
+    return np.array([np.nan if getattr(m, name) is None else float(getattr(m, name)) for m in metrics])
+
+
+def _along_axes(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+    for name, words in AXES.items():
+        x = _axis(metrics, name)
+        use = member & np.isfinite(x)
+        if use.sum() < 3 or np.ptp(x[use]) <= 1e-9 * max(abs(x[use]).max(), 1e-12):
+            continue
+        middle, half = (x[use].max() + x[use].min()) / 2, np.ptp(x[use]) / 2
+        t = np.where(use, (x - middle) / half, 0.0)
+        yield Template(f"{family} changes along {words}", base * t)
+        if np.unique(np.round(t[use], 6)).size > 2:
+            yield Template(f"{family} bends along {words}", base * np.where(use, t**2 - np.mean(t[use] ** 2), 0.0))
+
+
+def _ripples(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+    """Radial waves of `RIPPLES` periods in both phases, where there are radii enough to see them."""
+    radius = np.where(member, _axis(metrics, "radius"), np.nan)
+    known = np.unique(np.round(radius[member], 6))
+    if known.size < 4 * max(RIPPLES):
+        return
+    turn = 2 * np.pi * np.nan_to_num((radius - known[0]) / np.ptp(known))
+    for periods in RIPPLES:
+        yield Template(f"{family} ripples along field radius, {periods} periods (cosine)", base * np.cos(periods * turn))
+        yield Template(f"{family} ripples along field radius, {periods} periods (sine)", base * np.sin(periods * turn))
+
+
+def _groups(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+    for name, words in GROUPS.items():
+        labels = np.array([str(getattr(m, name)) for m in metrics])
+        found = [label for label in dict.fromkeys(labels[member]) if label]
+        if not 1 < len(found) <= MAX_PER_GROUP:
+            continue
+        for label in found:
+            yield Template(f"{family} differs for {words} {label}", np.where(labels == label, base, 0.0))
+            if name == "orientation":
+                radius = _axis(metrics, "radius")
+                yield Template(
+                    f"{family} of {label} edges differs and grows with field radius",
+                    np.where(labels == label, base * radius, 0.0),
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class Second:
+    """Captures of a second measurement session under the same model: what is left there too."""
+
+    problem: Problem
+    frame: Frame
+    residual: Float
+
+
+def _scored(problem: Problem, frame: Frame) -> dict[str, tuple[float, float]]:
+    """Templates by their words: profiled projection of the residual on each, and its squared length."""
+    metrics = problem.predictor.table.metrics
+    sigma = np.sqrt(np.diag(problem.base.covariance))
+    columns: dict[str, Float] = {}
+    for template in templates(metrics, problem.base.mean, sigma):
+        white = problem.whitened(np.nan_to_num(template.values))
+        if np.linalg.norm(white) > 0:
+            columns.setdefault(template.words, white)
+    if not columns:
+        return {}
+    part = frame.profiled(np.column_stack(list(columns.values())))
+    along, square = part.T @ frame.z, np.sum(part**2, axis=0)
+    return {words: (float(a), float(s)) for words, a, s in zip(columns, along, square, strict=True) if s > 1e-12}
+
+
+def findings(
+    problem: Problem, frame: Frame, *, alpha: float = 0.01, limit: int = 5, second: Second | None = None
+) -> list[Finding]:
+    """Patterns whose profiled score survives the look-elsewhere correction, strongest first.
+
+    With ``second``, the pattern at its amplitude here must not be denied there: its gain on both together
+    has to pass the same threshold, unless it is beyond doubt here (p below `SURE`).
+    """
+    from scipy.stats import chi2
+
+    scored = _scored(problem, frame)
+    there = _scored(second.problem, second.frame) if second is not None else {}
+    out: list[Finding] = []
+    for words, (along, square) in sorted(scored.items(), key=lambda item: -(item[1][0] ** 2) / item[1][1]):
+        gain, amplitude = along**2 / square, along / square
+        p = min(1.0, float(chi2.sf(gain, 1)) * len(scored))
+        if p >= alpha or len(out) == limit:
+            break
+        if words in there and p > SURE:
+            other, length = there[words]
+            both = gain + 2 * amplitude * other - amplitude**2 * length
+            if chi2.sf(max(both, 0.0), 1) * len(scored) >= alpha:
+                continue
+        out.append(Finding(words, gain, p))
+    return out
+
+
+def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01, second: Second | None = None) -> list[str]:
+    """Families whose residual scatters more than its covariance, after allowing 10 % in sigma.
+
+    With ``second``, both sessions together must show it, unless it is beyond doubt here.
+    """
+    from scipy.stats import chi2
+
+    here = _family_squares(problem, residual)
+    there = _family_squares(second.problem, second.residual) if second is not None else {}
+    out = []
+    for family, (square, n) in here.items():
+        p = float(chi2.sf(square / ALLOWED, n)) * len(here)
+        if p >= alpha:
+            continue
+        more, m = there.get(family, (0.0, 0))
+        if m and p > SURE and chi2.sf((square + more) / ALLOWED, n + m) * len(here) >= alpha:
+            continue
+        out.append(f"{family} scatters {np.sqrt(square / n):.2f} times as much as its sigma says ({n} values)")
+    return out
+
+
+def _family_squares(problem: Problem, residual: Float) -> dict[str, tuple[float, int]]:
+    """Mean-square sum of whitened residuals and number of rows per family."""
+    metrics = problem.predictor.table.metrics
+    families = np.array([metrics[i].family for i in problem.keep])
+    out: dict[str, tuple[float, int]] = {}
+    for family in dict.fromkeys(families):
+        rows = problem.keep[families == family]
+        block = problem.covariance[np.ix_(rows, rows)]
+        scale = np.sqrt(np.diag(block))
+        r = residual[rows] / scale
+        square = float(r @ np.linalg.solve(block / np.outer(scale, scale) + 1e-9 * np.eye(rows.size), r))
+        out[str(family)] = (square, rows.size)
+    return out

@@ -1,0 +1,107 @@
+"""The account of an investigation: verdict, named effects, ladder, next captures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from isetval.camera.model import CameraModel
+from isetval.loop.candidates import Signature
+from isetval.loop.comparison import Prepared, ladder_rows
+from isetval.loop.investigation import Case, second_session
+from isetval.loop.next_captures import next_captures
+from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter
+from isetval.loop.score_test import cosine
+from isetval.loop.unknown import Finding, family_excess
+
+Say = Callable[[str], None]
+
+
+def account_of(case: Case, gate: Mapping[str, Any], leftovers: list[Finding], *, alpha: float, say: Say, more: bool) -> Diagnosis:
+    """Everything that an investigation found; ``more`` also searches the next captures."""
+    prepared, held = case.prepared, case.held
+    nominal = prepared.model
+    model, effects = _model_with(case)
+    excess = family_excess(case.problem, case.fitted.residual, alpha=alpha, second=second_session(case))
+    words = [f.words for f in leftovers] + excess
+    say("drawing the ladder")
+    models = [nominal] if model is nominal else [nominal, model]
+    ladder = tuple(ladder_rows(prepared, models, role="calibration"))
+    confirm: dict[str, Any] = {}
+    if held is not None:
+        ladder += tuple(ladder_rows(held, models, role="prediction"))
+        confirm = _confirm(held, models)
+    if more and case.named:
+        say("searching captures that tell the closest candidates apart")
+    captures = tuple(next_captures(case.problem, case.fitted, _pairs(case))) if more and case.named else ()
+    return Diagnosis(
+        verdict=_verdict(case, leftovers, excess, confirm),
+        effects=tuple(effects),
+        candidates=tuple(sorted(case.rows, key=lambda row: row.p_corrected)),
+        unobservable=case.unobservable,
+        next_captures=captures,
+        leftover="; ".join(words) or None,
+        ladder=ladder,
+        gate=gate,
+        nominal=nominal,
+        model=model,
+        notes=(*prepared.table.notes, *case.remarks),
+        holdout_gain=confirm,
+        settings={"alpha": alpha, "replicas": case.problem.base.replicas, "metrics": int(case.problem.keep.size)},
+    )
+
+
+def _pairs(case: Case) -> list[tuple[Signature, Signature]]:
+    """The named effects against what is closest to them."""
+    frame = case.frame0
+    white = {name: case.problem.whitened(s.columns) for name, s in case.signatures.items()}
+    out = []
+    for best, others in zip(case.named, case.classes, strict=True):
+        name = best.candidate.name
+        rated = sorted(
+            ((cosine(frame, white[name], white[o]), o) for o in white if o != name and o not in case.unobservable), reverse=True
+        )
+        wanted = list(dict.fromkeys([*others, *(o for rho, o in rated[:2] if rho > 0.5)]))
+        out += [(case.signatures[name], case.signatures[o]) for o in wanted[:3]]
+    return out
+
+
+def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
+    """The nominal model with the named effects at their fitted values, and their description."""
+    model, effects = case.prepared.model, []
+    for best, chance, others in zip(case.named, case.named_posteriors, case.classes, strict=True):
+        candidate = best.candidate
+        values = {key: case.fitted.value(key) for key in candidate.keys}
+        effect = candidate.effect.changed(**{key.split(".")[1]: v for key, (v, _) in values.items()})
+        effect = effect.changed(
+            source="isetval diagnose", fitted_to=tuple(sorted({m.family for m in case.problem.predictor.table.metrics}))
+        )
+        model = model.with_effect(effect)
+        parameters = {
+            p.name: NamedParameter(*values[key], p.unit, float(nominal))
+            for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
+        }
+        effects.append(
+            NamedEffect(candidate.name, parameters, chance[0], chance[1:], others, effect, candidate.present, best.dchi2)
+        )
+    if effects:
+        model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
+    return model, effects
+
+
+def _confirm(held: Prepared, models: Sequence[CameraModel]) -> dict[str, Any]:
+    """chi2 of the hold-out under each model with the nominal weights, its own nuisances refitted, the effects frozen."""
+    costs = [held.chi2(m, weights=models[0]) for m in models]
+    return {"chi2": costs, "gain": costs[0] - costs[-1], "metrics": int(held.problem.keep.size)}
+
+
+def _verdict(case: Case, leftovers: Sequence[Finding], excess: Sequence[str], confirm: Mapping[str, Any]) -> str:
+    left = bool(leftovers or excess)
+    if not case.named:
+        return "unexplained" if left else "consistent"
+    if confirm and confirm["gain"] <= 0:
+        return "unexplained" if left else "partial"
+    if left:
+        return "partial"
+    return "ambiguous" if any(case.rivals) else "attributed"
