@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isetval.core.capture import Capture
-from isetval.measure.edge.detect import FoundEdges, working_image
-from isetval.measure.edge.result import AXIS, SfrResult
+from isetval.measure.edge.edge_finding import FoundEdges, working_image
+from isetval.measure.edge.sfr_result import AXIS, SfrResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,26 +1,31 @@
-"""Pixels of one colour plane as rows of samples: the form in which an edge is measured.
+"""Pixels of one colour plane as rows of samples, linear: the form in which an edge is measured.
 
 Every plane of a mosaic, and a one-channel image, is a set of rows whose samples are equally spaced:
 R, Gr, Gb and B on the mosaic have every second row and column, both greens together (a quincunx) every
 row with a start that alternates.  Edges nearer to horizontal are transposed, so that all that follows
-sees one crossing per row.  Coordinates stay those of the capture's pixels.
+sees one crossing per row.  Coordinates stay those of the capture's pixels.  Code values of a rendered image
+go back to exposures through its OECF (opto-electronic conversion function, ISO 14524).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view
 from isetval.core.errors import InputError
-from isetval.core.sensor import BAYER_PLANES, pattern_at
+from isetval.core.sensor import pattern_at
 
 Float = NDArray[np.floating[Any]]
+Oecf = float | str | ArrayLike | None
+
 
 CHANNELS = ("R", "Gr", "Gb", "B", "G")
+MIN_SIDE_PX = {"MONO": 24, "G": 28, "Gr": 40, "Gb": 40, "R": 40, "B": 40}
+POINTS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,4 +165,52 @@ def is_horizontal(values: Float) -> bool:
     return bool((down @ down) * cols > (right @ right) * rows)
 
 
-__all__ = ["BAYER_PLANES", "CHANNELS", "Samples", "check_channel", "plane_samples"]
+def too_small(samples: Samples, channel: str) -> str | None:
+    """Sentence if the region is too small for the channel."""
+    height = samples.row_step_px * samples.values.shape[0]
+    width = samples.step_px * samples.values.shape[1]
+    need = MIN_SIDE_PX[channel]
+    if min(height, width) >= need:
+        return None
+    return f"the region is {height:g} x {width:g} px; channel {channel} needs at least {need} px a side: enlarge it"
+
+
+def oecf_table(oecf: Oecf, *, full_dn: float) -> tuple[Float, Float] | None:
+    """Code values above black and their exposures; None without an OECF.
+
+    Parameters
+    ----------
+    oecf : "srgb", number, pairs (n, 2) or None
+        The curve of IEC 61966-2-1; the exponent g of code ~ exposure^(1/g); or pairs (code above black,
+        exposure in any unit), both rising, used with straight lines between them.
+    full_dn : float
+        White level above black; the exposures are scaled so that they end there.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    if oecf is None:
+        return None
+    share = np.linspace(0.0, 1.0, POINTS)
+    if isinstance(oecf, str):
+        if oecf != "srgb":
+            raise InputError(f"oecf is {oecf!r}; it needs 'srgb', an exponent or pairs (code above black, exposure)")
+        return full_dn * share, full_dn * np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    pairs = np.asarray(oecf, dtype=float)
+    if pairs.ndim == 0:
+        if not 0.1 <= pairs <= 10:
+            raise InputError(f"oecf is an exponent of {pairs:g}; it needs 0.1 to 10")
+        return full_dn * share, full_dn * share ** float(pairs)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or len(pairs) < 2 or not np.all(np.diff(pairs, axis=0) > 0):
+        raise InputError(f"oecf has shape {pairs.shape}; it needs at least two pairs (code above black, exposure), both rising")
+    code, exposure = pairs.T
+    return code, (exposure - exposure[0]) * (full_dn / (exposure[-1] - exposure[0]))
+
+
+def linearised(samples: Samples, capture: Capture, oecf: Oecf) -> Samples:
+    """Samples with their values turned into exposures, in units in which the table's end is the white level."""
+    full = capture.sensor.white_dn - float(np.mean(capture.sensor.black_dn))
+    table = oecf_table(oecf, full_dn=full)
+    return samples if table is None else replace(samples, values=np.interp(samples.values, *table))

@@ -1,19 +1,23 @@
-"""MTF of a fitted ESF, its covariance, and the numbers read from the curve."""
+"""Exact Fourier transform of the ESF model, the MTF of a fitted ESF, its covariance, and numbers read from the curve."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge import basis, smooth, transform
-from isetval.measure.edge.smooth import EsfFit, EsfFits
-from isetval.measure.edge.transform import FREQUENCIES, FREQUENCY_STEP
+from isetval.measure.edge import esf_prior, spline_bins
+from isetval.measure.edge.esf_fit import EsfFit, EsfFits, solve_lower
 
 Float = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex128]
+
+
+FREQUENCY_STEP = 0.005
+FREQUENCIES = 401
 
 
 def default_frequency() -> Float:
@@ -21,17 +25,85 @@ def default_frequency() -> Float:
     return FREQUENCY_STEP * np.arange(FREQUENCIES)
 
 
+def _spline_transform(frequency: Float, jump: Float) -> Complex:
+    """Fourier transform of the derivative of splines at ``frequency`` (cycles per s), > 0, (frequencies, splines).
+
+    ``jump`` (knots, splines) are the jumps of their third derivatives.
+
+    Exact: three integrations by parts leave the jumps of the third derivative at the knots,
+    sum_k jump_k exp(-i w z_k) / (i w)^3.
+    """
+    z = spline_bins.knots()
+    w = 2 * np.pi * np.asarray(frequency, dtype=float)
+    phase = np.exp(-1j * w[:, None] * z)
+    return np.asarray((phase @ jump) / (1j * w[:, None]) ** 3)
+
+
+@lru_cache(maxsize=1)
+def _jumps_and_steps() -> tuple[Float, Float]:
+    columns = esf_prior.shape_columns()
+    return spline_bins.jumps()[1] @ columns, columns[-1] - columns[0]
+
+
+def _transform(scaled: Float) -> Complex:
+    jump, step = _jumps_and_steps()
+    zero = scaled == 0
+    if not zero.any():
+        return _spline_transform(scaled, jump)
+    out = _spline_transform(np.where(zero, 1.0, scaled), jump)
+    out[zero] = step
+    return out
+
+
+@lru_cache(maxsize=256)
+def default_parts(index: int) -> tuple[Float, Float]:
+    """Transform at the default frequencies for one tabulated width, (frequencies, columns) each.
+
+    Real part of the columns whose line spread is symmetric (mean shape, symmetric modes) and imaginary part of the
+    others; the other parts vanish.
+    """
+    even, odd = (places - 1 for places in esf_prior.column_places())
+    full = _transform(FREQUENCY_STEP * np.arange(FREQUENCIES) * esf_prior.width_of(index))
+    return np.ascontiguousarray(full[:, even].real), np.ascontiguousarray(full[:, odd].imag)
+
+
+def default_spectra(index: int) -> Complex:
+    """Transform of mean shape and modes at the default frequencies for one tabulated width, (frequencies, 1 + modes)."""
+    return np.concatenate([default_parts(index)[0], 1j * default_parts(index)[1]], axis=1)
+
+
+def transform_and_slope(scaled: Float) -> tuple[Complex, Complex]:
+    """Transform of mean shape and modes at frequencies in cycles per s, > 0, and its derivative, (frequencies, 1 + modes)."""
+    jump, _ = _jumps_and_steps()
+    w = 2 * np.pi * scaled[:, None]
+    z = spline_bins.knots()
+    phase = np.exp(-1j * w * z)
+    both = np.concatenate([phase, phase * (-2j * np.pi * z)])
+    parts = np.asarray(both @ jump, dtype=np.complex128)
+    cube = (1j * w) ** 3
+    value: Complex = np.asarray(parts[: len(w)] / cube, dtype=np.complex128)
+    return value, parts[len(w) :] / cube - 3 * value / scaled[:, None]
+
+
+def spectra(width_px: float, frequency_cy_px: Float) -> Complex:
+    """Transform of mean shape and modes at any frequencies, (frequencies, 1 + modes)."""
+    f = np.asarray(frequency_cy_px, dtype=float)
+    if len(f) == FREQUENCIES and f[1] == FREQUENCY_STEP and f[-1] == FREQUENCY_STEP * (FREQUENCIES - 1):
+        return default_spectra(esf_prior.width_index(width_px))
+    return _transform(f * width_px)
+
+
 def mtf_of(fit: EsfFit, frequency_cy_px: Float) -> Float:
     """MTF along the normal, 1 at frequency 0, (frequencies,)."""
-    return np.asarray(np.abs(transform.spectra(fit.width_px, frequency_cy_px) @ fit.shape) / abs(fit.step))
+    return np.asarray(np.abs(spectra(fit.width_px, frequency_cy_px) @ fit.shape) / abs(fit.step))
 
 
 def default_curves(fits: EsfFits) -> Float:
     """MTFs at the default frequencies, (regions, frequencies)."""
     out = np.empty((len(fits.step), FREQUENCIES))
-    even, odd = transform.shape_places_by_symmetry()
+    even, odd = esf_prior.shape_places_by_symmetry()
     for row, width, c in zip(out, fits.width_px, fits.coefficients, strict=True):
-        real, imaginary = transform.default_parts(transform.width_index(width))
+        real, imaginary = default_parts(esf_prior.width_index(width))
         np.hypot(real @ c[even], imaginary @ c[odd], out=row)
     out /= np.abs(fits.step)[:, None]
     return out
@@ -39,7 +111,7 @@ def default_curves(fits: EsfFits) -> Float:
 
 def mtf_gradient(fit: EsfFit, frequency_cy_px: Float) -> Float:
     """Derivative of the MTF by mean shape and modes, (frequencies, 1 + modes)."""
-    return _gradient(fit, transform.spectra(fit.width_px, frequency_cy_px))
+    return _gradient(fit, spectra(fit.width_px, frequency_cy_px))
 
 
 def _gradient(fit: EsfFit, columns: Complex) -> Float:
@@ -53,14 +125,14 @@ def _gradient(fit: EsfFit, columns: Complex) -> Float:
 def gradient_variance(fit: EsfFit, gradient: Float) -> Float:
     """Posterior variance of linear functions of mean shape and modes, (functions,)."""
     full = np.zeros((len(gradient), len(fit.coefficients)))
-    full[:, transform.shape_places()] = gradient
-    half = smooth.solve_lower(fit.lower, (full * fit.mode_root).T)
+    full[:, esf_prior.shape_places()] = gradient
+    half = solve_lower(fit.lower, (full * fit.mode_root).T)
     return np.asarray(np.einsum("ij,ij->j", half, half))
 
 
 def shape_covariance(fit: EsfFit, *, kind: str) -> Float:
     """Covariance of mean shape and modes: ``posterior``, or ``sampling`` (pixel noise through the same weights)."""
-    keep = transform.shape_places()
+    keep = esf_prior.shape_places()
     full = fit.covariance if kind == "posterior" else fit.sampling_covariance
     return np.asarray(full[np.ix_(keep, keep)])
 
@@ -92,13 +164,13 @@ class Crossings:
 
 def crossings(fits: EsfFits, frequency: Float, *, curves: Float, levels: Float) -> Crossings:
     """Crossings of several levels (regions, levels), polished by a Newton step on the exact transform."""
-    rough = first_crossings(frequency, curves, levels)
-    at = np.where(np.isfinite(rough), rough, 0.25)
+    coarse = first_crossings(frequency, curves, levels)
+    at = np.where(np.isfinite(coarse), coarse, 0.25)
     scaled = at * fits.width_px[:, None]
     b, n = at.shape
-    columns, slopes = transform.transform_and_slope(scaled.ravel())
+    columns, slopes = transform_and_slope(scaled.ravel())
     columns, slopes = columns.reshape(b, n, -1), slopes.reshape(b, n, -1)
-    shape = fits.coefficients[:, transform.shape_places()]
+    shape = fits.coefficients[:, esf_prior.shape_places()]
     step = np.abs(fits.step)[:, None]
     value, change = (columns @ shape[:, :, None])[:, :, 0], (slopes @ shape[:, :, None])[:, :, 0]
     size = np.maximum(np.abs(value), 1e-12 * step)
@@ -108,16 +180,16 @@ def crossings(fits: EsfFits, frequency: Float, *, curves: Float, levels: Float) 
     gradient = np.real(along[:, :, None] * columns) / step[:, :, None]
     gradient[:, :, 0] -= size / step**2 * np.sign(fits.step)[:, None]
     sigma = np.sqrt([_variance(fits, i, gradient[i]) for i in range(b)]) / -slope
-    seen = np.isfinite(rough)
+    seen = np.isfinite(coarse)
     return Crossings(np.where(seen, polished, np.nan), np.where(seen, sigma, np.nan))
 
 
 def _variance(fits: EsfFits, i: int, gradient: Float) -> Float:
     """Posterior variance of functions of mean shape and modes of region ``i``."""
-    scale, places = float(fits.equations.scale[i]), transform.shape_places()
+    scale, places = float(fits.equations.scale[i]), esf_prior.shape_places()
     full = np.zeros((fits.coefficients.shape[1], len(gradient)))
     full[places] = (gradient * (fits.mode_root[i, places] * scale)).T
-    half = smooth.solve_lower(fits.lower[i], full)
+    half = solve_lower(fits.lower[i], full)
     return np.asarray((half * half).sum(axis=0))
 
 
@@ -139,8 +211,8 @@ def esf_curves(fit: EsfFit, reach_px: tuple[float, float]) -> tuple[Float, Float
     """Distance grid (1/8 px or a tenth of the width), ESF in DN and LSF in 1/px over ``reach_px``."""
     step = max(0.125, 0.1 * fit.width_px)
     grid = step * np.arange(int(np.ceil(reach_px[0] / step)), int(np.floor(reach_px[1] / step)) + 1)
-    columns = transform.shape_columns() @ fit.shape
+    columns = esf_prior.shape_columns() @ fit.shape
     z = grid / fit.width_px
-    esf = fit.dark + basis.spline_matrix(z) @ columns
-    lsf = basis.spline_matrix(z, derivative=1) @ columns / (fit.width_px * fit.step)
+    esf = fit.dark + spline_bins.spline_matrix(z) @ columns
+    lsf = spline_bins.spline_matrix(z, derivative=1) @ columns / (fit.width_px * fit.step)
     return grid, esf, lsf

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge.prior import shape_prior
+from isetval.measure.edge.esf_prior import shape_prior
 
 Float = NDArray[np.floating[Any]]
+
 
 EVEN_GRID = np.array([0.0005, 0.002, 0.008, 0.03, 0.12, 0.5])
 ODD_GRID = np.array([0.0, 0.002, 0.008, 0.03, 0.12])
@@ -33,63 +34,6 @@ class Amplitudes:
     even: Float
     odd: Float
     light: Float
-
-
-@lru_cache(maxsize=1)
-def _roots() -> tuple[Float, Float]:
-    """Standard deviations of the symmetric modes and of the antisymmetric ones for the grids, (amplitudes, modes)."""
-    return _mode_roots(EVEN_GRID, even=True), _mode_roots(ODD_GRID, even=False)
-
-
-def _mode_roots(amplitude: Float, *, even: bool) -> Float:
-    """Standard deviations of the symmetric or the antisymmetric modes for amplitudes (n,), (n, modes)."""
-    prior = shape_prior()
-    mine = prior.even if even else ~prior.even
-    return np.asarray(np.sqrt(prior.base[mine] + amplitude[:, None] ** 2 * prior.extra[mine]))
-
-
-def _prior_roots(chosen: Amplitudes) -> Float:
-    """Standard deviations of all columns, (regions, columns)."""
-    level = np.broadcast_to(LEVEL_ROOT, (len(chosen.even), 2))
-    even, odd = _mode_roots(chosen.even, even=True), _mode_roots(chosen.odd, even=False)
-    return np.concatenate([level, even, np.outer(chosen.light, SHADING_ROOT), odd], axis=1)
-
-
-def _scaled(matrix: Float, root: Float) -> Float:
-    """R G R + I over the columns, data last and unscaled."""
-    full = np.concatenate([root, np.ones((len(root), 1))], axis=1)
-    out: Float = matrix * full[:, :, None]
-    out *= full[:, None, :]
-    _add_identity(out, 1)
-    return out
-
-
-def _add_identity(matrix: Float, sign: int) -> None:
-    """Add the unit matrix of all columns but the data's."""
-    n = matrix.shape[-1]
-    flat = matrix.reshape(*matrix.shape[:-2], n * n)
-    flat[..., : n * n - 1 : n + 1] += sign
-
-
-def _cholesky(matrix: Float) -> Float:
-    n = matrix.shape[-1]
-    flat = matrix.reshape(*matrix.shape[:-2], n * n)
-    flat[..., -1] *= 1 + 1e-13  # the data's residual may not vanish to rounding
-    return np.asarray(np.linalg.cholesky(matrix))
-
-
-def _schur(lower: Float, first: int) -> Float:
-    """What is left of the matrix when the columns before ``first`` are eliminated, without the prior's unit matrix."""
-    block = lower[:, first:, first:]
-    out = block @ block.swapaxes(1, 2)
-    _add_identity(out, -1)
-    return out
-
-
-def _evidence(lower: Float) -> Float:
-    """Log marginal likelihood up to a constant, from factors (..., n, n) with the data last."""
-    diagonal = np.diagonal(lower, axis1=-2, axis2=-1)
-    return np.asarray(-np.log(diagonal[..., :-1]).sum(axis=-1) - 0.5 * diagonal[..., -1] ** 2)
 
 
 def best_amplitudes(
@@ -159,3 +103,60 @@ def _with_best_odd(matrix: Float, chosen: Amplitudes) -> tuple[Amplitudes, Float
     lower[:, first:, first:] = factors[np.arange(len(best)), best]
     start[:, first:] = roots[best]
     return Amplitudes(chosen.even, ODD_GRID[best], chosen.light), lower, start
+
+
+@lru_cache(maxsize=1)
+def _roots() -> tuple[Float, Float]:
+    """Standard deviations of the symmetric modes and of the antisymmetric ones for the grids, (amplitudes, modes)."""
+    return _mode_roots(EVEN_GRID, even=True), _mode_roots(ODD_GRID, even=False)
+
+
+def _mode_roots(amplitude: Float, *, even: bool) -> Float:
+    """Standard deviations of the symmetric or the antisymmetric modes for amplitudes (n,), (n, modes)."""
+    prior = shape_prior()
+    mine = prior.even if even else ~prior.even
+    return np.asarray(np.sqrt(prior.base[mine] + amplitude[:, None] ** 2 * prior.extra[mine]))
+
+
+def _prior_roots(chosen: Amplitudes) -> Float:
+    """Standard deviations of all columns, (regions, columns)."""
+    level = np.broadcast_to(LEVEL_ROOT, (len(chosen.even), 2))
+    even, odd = _mode_roots(chosen.even, even=True), _mode_roots(chosen.odd, even=False)
+    return np.concatenate([level, even, np.outer(chosen.light, SHADING_ROOT), odd], axis=1)
+
+
+def _scaled(matrix: Float, root: Float) -> Float:
+    """R G R + I over the columns, data last and unscaled."""
+    full = np.concatenate([root, np.ones((len(root), 1))], axis=1)
+    out: Float = matrix * full[:, :, None]
+    out *= full[:, None, :]
+    _add_identity(out, 1)
+    return out
+
+
+def _add_identity(matrix: Float, sign: int) -> None:
+    """Add the unit matrix of all columns but the data's."""
+    n = matrix.shape[-1]
+    flat = matrix.reshape(*matrix.shape[:-2], n * n)
+    flat[..., : n * n - 1 : n + 1] += sign
+
+
+def _cholesky(matrix: Float) -> Float:
+    n = matrix.shape[-1]
+    flat = matrix.reshape(*matrix.shape[:-2], n * n)
+    flat[..., -1] *= 1 + 1e-13  # the data's residual may not vanish to rounding
+    return np.asarray(np.linalg.cholesky(matrix))
+
+
+def _schur(lower: Float, first: int) -> Float:
+    """What is left of the matrix when the columns before ``first`` are eliminated, without the prior's unit matrix."""
+    block = lower[:, first:, first:]
+    out = block @ block.swapaxes(1, 2)
+    _add_identity(out, -1)
+    return out
+
+
+def _evidence(lower: Float) -> Float:
+    """Log marginal likelihood up to a constant, from factors (..., n, n) with the data last."""
+    diagonal = np.diagonal(lower, axis1=-2, axis2=-1)
+    return np.asarray(-np.log(diagonal[..., :-1]).sum(axis=-1) - 0.5 * diagonal[..., -1] ** 2)

@@ -1,11 +1,11 @@
-"""Regions of one shape side by side, and the edge lines through them: the form in which all estimation runs."""
+"""Regions of one shape side by side, the edge lines through them, and the distance of every sample from its line."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from isetval.measure.edge.samples import Samples
 
 Float = NDArray[np.floating[Any]]
 Index = NDArray[np.intp]
+
 
 MAX_ORDER = 5
 ORDERS = MAX_ORDER + 1
@@ -30,6 +31,21 @@ def powers(n: int, step: float, most: int) -> Float:
     out = np.vander(step * np.arange(n), most + 1, increasing=True).T.copy()
     out.flags.writeable = False
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class PerRegion:
+    """Base of dataclasses whose arrays have one entry for each region; what has none is shared."""
+
+    def pick(self, index: Index) -> Self:
+        """Those of some regions."""
+        return type(self)(**{f.name: _picked(getattr(self, f.name), index) for f in fields(self)})
+
+
+def _picked(part: Any, index: Index) -> Any:
+    if isinstance(part, np.ndarray):
+        return part[index]
+    return part.pick(index) if hasattr(part, "pick") else part
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +114,7 @@ def stacked(samples: Sequence[Samples]) -> Stack:
 
 
 @dataclass(frozen=True, eq=False)
-class RowPolynomials:
+class RowPolynomials(PerRegion):
     """Legendre polynomials 0..5, their slopes and bends at the rows, and how far the rows lie outside -1..1.
 
     Arrays (regions, 6, rows); ``outside`` (regions, rows).
@@ -108,10 +124,6 @@ class RowPolynomials:
     slope: Float
     bend: Float
     outside: Float
-
-    def pick(self, index: Index) -> RowPolynomials:
-        """Those of some regions."""
-        return RowPolynomials(self.value[index], self.slope[index], self.bend[index], self.outside[index])
 
     def every(self, start: int, k: int) -> RowPolynomials:
         """Those of every ``k``-th row."""
@@ -143,7 +155,7 @@ _LEGENDRE = _legendre_tables()
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeLines:
+class EdgeLines(PerRegion):
     """Column of every edge as a Legendre polynomial of the row.
 
     ``x(y) = sum_k coefficients[k] P_k((y - y_center_px) / y_half_px)`` for rows where the edge was
@@ -156,12 +168,6 @@ class EdgeLines:
     y_center_px: Float
     y_half_px: Float
     sign: Float
-
-    def pick(self, index: Index) -> EdgeLines:
-        """Those of some regions."""
-        return EdgeLines(
-            self.coefficients[index], self.order[index], self.y_center_px[index], self.y_half_px[index], self.sign[index]
-        )
 
     def moved(self, coefficients: Float, order: NDArray[np.intp] | None = None) -> EdgeLines:
         """The same frames with other coefficients."""

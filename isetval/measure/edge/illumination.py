@@ -8,23 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge.stack import EdgeLines, Index, RowPolynomials, Stack, along_rows, clip, distances
+from isetval.measure.edge.geometry import EdgeLines, PerRegion, RowPolynomials, Stack, along_rows, clip, distances
 
 Float = NDArray[np.floating[Any]]
+
 
 LIMITS = np.array([0.9, 0.5, 0.5])
 
 
 @dataclass(frozen=True, eq=False)
-class SideNoise:
+class SideNoise(PerRegion):
     """Variance of a sample on the dark and on the bright side, DN^2, (regions,)."""
 
     dark: Float
     bright: Float
-
-    def pick(self, index: Index) -> SideNoise:
-        """Those of some regions."""
-        return SideNoise(self.dark[index], self.bright[index])
 
     def at(self, level: Float) -> Float:
         """Variance at ``level`` (regions, ...): 0 for the dark side's, 1 for the bright side's; linear in between."""
@@ -59,12 +56,12 @@ def frame_of(stack: Stack, lines: EdgeLines) -> Frame:
     return Frame(rows * cosine, slope * cosine, -sign * cosine * slope * rows, sign * cosine, stack.x0_px - x)
 
 
-def gain_terms(frame: Frame, gain: Float, half_px: float) -> tuple[Float, Float, Float]:
+def illumination_terms(frame: Frame, illumination: Float, half_px: float) -> tuple[Float, Float, Float]:
     """Illumination as c0 + c1 u + c2 u^2 per row, (regions, rows) each.
 
     The illumination is 1 + g0 l + g1 l^2 + g2 l d + g3 d + g4 d^2 with l, d in units of ``half_px``.
     """
-    g = [gain[:, k, None] / half_px**power for k, power in enumerate((1, 2, 2, 1, 2))]
+    g = [illumination[:, k, None] / half_px**power for k, power in enumerate((1, 2, 2, 1, 2))]
     l0, l1, d0, d1 = frame.along0, frame.along1, frame.across0, frame.across1
     c0 = 1 + l0 * (g[0] + g[1] * l0 + g[2] * d0) + d0 * (g[3] + g[4] * d0)
     c1 = g[0] * l1 + 2 * g[1] * l0 * l1 + g[2] * (l0 * d1 + l1 * d0) + g[3] * d1 + 2 * g[4] * d0 * d1
@@ -72,21 +69,21 @@ def gain_terms(frame: Frame, gain: Float, half_px: float) -> tuple[Float, Float,
     return c0, c1, c2
 
 
-def gain_of(stack: Stack, lines: EdgeLines, gain: Float, half_px: float) -> Float:
+def illumination_at(stack: Stack, lines: EdgeLines, illumination: Float, half_px: float) -> Float:
     """Illumination at every sample, (regions, rows, n)."""
     frame = frame_of(stack, lines)
-    c0, c1, c2 = gain_terms(frame, gain, half_px)
+    c0, c1, c2 = illumination_terms(frame, illumination, half_px)
     s = frame.start
     return along_rows(stack, c0 + s * (c1 + c2 * s), c1 + 2 * c2 * s, c2)
 
 
 def fit_along(
-    stack: Stack, lines: EdgeLines, p: RowPolynomials, *, gain: Float, half_px: float, width_px: Float
+    stack: Stack, lines: EdgeLines, p: RowPolynomials, *, illumination: Float, half_px: float, width_px: Float
 ) -> tuple[Float, SideNoise]:
     """Illumination along the edge (g0, g1, g2), from how the values change along it at equal distance.
 
     Regressing the deviations from the mean at each distance leaves the ESF out altogether; one Gauss-Newton
-    step from the present gain.  The residuals give the noise of both sides.
+    step from the present illumination.  The residuals give the noise of both sides.
     """
     b, size = len(stack), stack.values[0].size
     distance = distances(stack, lines, p)
@@ -94,7 +91,7 @@ def fit_along(
     along = frame.along0[:, :, None] + frame.along1[:, :, None] * (frame.start[:, :, None] + stack.columns)
     far = np.abs(distance) > (2.5 * width_px)[:, None, None]
     enough = far.reshape(b, -1).sum(axis=1) >= 50
-    present = gain_of(stack, lines, gain, half_px)
+    present = illumination_at(stack, lines, illumination, half_px)
     cell = distance * (1 / np.maximum(width_px, 2.0))[:, None, None]
     reach = int(np.abs(cell).max()) + 2
     cell += reach
@@ -130,6 +127,6 @@ def fit_along(
     noise = SideNoise(
         np.where(enough, low / np.maximum(both - count, 1), 1.0), np.where(enough, high / np.maximum(count, 1), 1.0)
     )
-    out = gain.copy()
-    out[enough, :3] = clip(gain[:, :3] + step[:, :, 0], -LIMITS, LIMITS)[enough]
+    out = illumination.copy()
+    out[enough, :3] = clip(illumination[:, :3] + step[:, :, 0], -LIMITS, LIMITS)[enough]
     return out, noise

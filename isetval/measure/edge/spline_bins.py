@@ -1,4 +1,9 @@
-"""Samples gathered in the cells of the spline basis, and the noise seen inside the cells."""
+"""Spline basis of the ESF in units of the edge's own width, and the samples gathered in its cells.
+
+Distances are divided by the width ``s`` of the edge (interquartile width / 1.349, the standard
+deviation of a Gaussian edge).  Knots are 0.25 s apart in the core and widen with the distance, so
+that the far tails of a diffraction edge cost few numbers and little noise.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +14,102 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge import basis
-from isetval.measure.edge.basis import BINS_PER_KNOT
-from isetval.measure.edge.shading import SideNoise
-from isetval.measure.edge.stack import Index
+from isetval.measure.edge.geometry import PerRegion
+from isetval.measure.edge.illumination import SideNoise
 
 Float = NDArray[np.floating[Any]]
 
-LUT_STEP = basis.CORE_STEP / BINS_PER_KNOT / 4
+
+CORE_STEP = 0.25
+GROWTH = 1.3
+REACH = 1500.0
+BINS_PER_KNOT = 6
+LUT_STEP = CORE_STEP / BINS_PER_KNOT / 4
 LUT_HALF = 1 << 18  # the same for all, so that a region's cells do not depend on its neighbours in a stack
 PLATEAU = 4.0
+
+
+@lru_cache(maxsize=1)
+def knots() -> Float:
+    """Knots in units of s, symmetric about 0, (n,)."""
+    z = [0.0]
+    while z[-1] < REACH:
+        z.append(z[-1] + CORE_STEP * (1 + (z[-1] / 3.0) ** 2) ** (GROWTH / 2))
+    half = np.array(z[1:])
+    return np.concatenate([-half[::-1], [0.0], half])
+
+
+@lru_cache(maxsize=1)
+def _full_knots() -> Float:
+    z = knots()
+    return np.concatenate([np.repeat(z[0], 3), z, np.repeat(z[-1], 3)])
+
+
+def spline_matrix(z: Float, *, derivative: int = 0) -> Float:
+    """Cubic B-splines (or a derivative) at ``z`` in units of s, (len(z), knots + 2)."""
+    from scipy.interpolate import BSpline
+
+    t = _full_knots()
+    n = len(t) - 4
+    clipped = np.clip(z, t[0], t[-1])
+    spline = BSpline(t, np.eye(n), 3)
+    out = spline(clipped) if derivative == 0 else spline.derivative(derivative)(clipped)
+    return np.asarray(out)
+
+
+@lru_cache(maxsize=1)
+def greville() -> Float:
+    """Points at which the coefficients act, (knots + 2,)."""
+    t = _full_knots()
+    return np.asarray((t[1:-3] + t[2:-2] + t[3:-1]) / 3)
+
+
+@lru_cache(maxsize=1)
+def jumps() -> tuple[Float, Float]:
+    """Knots and the jump of the third derivative of every B-spline there, (knots, splines)."""
+    z = knots()
+    middle = np.concatenate([[z[0] - 1], (z[1:] + z[:-1]) / 2, [z[-1] + 1]])
+    third = spline_matrix(middle, derivative=3)
+    third[0] = third[-1] = 0.0
+    return z, np.diff(third, axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """Cells in which samples are gathered: a fraction of a knot interval each.
+
+    ``edges`` in units of s; ``center`` their middles; ``width`` their widths.
+    """
+
+    edges: Float
+    center: Float
+    width: Float
+
+
+@lru_cache(maxsize=1)
+def bins() -> Bins:
+    """The cells, the same for every edge in units of s."""
+    z = knots()
+    parts = np.arange(BINS_PER_KNOT) / BINS_PER_KNOT
+    edges = np.concatenate([(z[:-1, None] + np.diff(z)[:, None] * parts).ravel(), z[-1:]])
+    return Bins(edges, (edges[1:] + edges[:-1]) / 2, np.diff(edges))
+
+
+@lru_cache(maxsize=1)
+def cell_matrices() -> tuple[Float, Float]:
+    """Mean of every B-spline over every cell and its slope at the cell's middle, (cells, splines) each."""
+    cells = bins()
+    bend = spline_matrix(cells.center, derivative=2)
+    mean = spline_matrix(cells.center) + bend * (cells.width**2 / 24)[:, None]
+    return mean, spline_matrix(cells.center, derivative=1)
 
 
 @lru_cache(maxsize=1)
 def _lut() -> NDArray[np.int32]:
     """Cell of every step of z, numbered (part of the interval, interval)."""
     z = (np.arange(-LUT_HALF, LUT_HALF) + 0.5) * LUT_STEP
-    cell = np.clip(np.searchsorted(basis.bins().edges, z) - 1, 0, len(basis.bins().center) - 1)
-    intervals = len(basis.bins().center) // BINS_PER_KNOT
+    cell = np.clip(np.searchsorted(bins().edges, z) - 1, 0, len(bins().center) - 1)
+    intervals = len(bins().center) // BINS_PER_KNOT
     return np.asarray((cell % BINS_PER_KNOT) * intervals + cell // BINS_PER_KNOT, dtype=np.int32)
 
 
@@ -38,13 +121,13 @@ def by_part(per_cell: Float) -> Float:
 @lru_cache(maxsize=1)
 def centers() -> Float:
     """Middles of the cells in units of s, (parts, intervals)."""
-    return by_part(basis.bins().center)
+    return by_part(bins().center)
 
 
 @lru_cache(maxsize=1)
 def _local_splines() -> tuple[Float, Float]:
     """Cell means of the four B-splines that do not vanish in a cell, and their slopes, (4, parts, intervals)."""
-    mean, slope = basis.cell_matrices()
+    mean, slope = cell_matrices()
     cell = np.arange(len(mean))
     column = (cell // BINS_PER_KNOT)[:, None] + np.arange(4)
     tables = (by_part(table[cell[:, None], column]) for table in (mean, slope))
@@ -53,7 +136,7 @@ def _local_splines() -> tuple[Float, Float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Binned:
+class Binned(PerRegion):
     """Samples gathered by distance: number, mean distance (units of s), mean and scatter of the values per cell.
 
     Arrays (regions, parts, intervals); empty cells have number 0 and lie at their middles; widths (regions,).
@@ -64,10 +147,6 @@ class Binned:
     mean: Float
     scatter: Float
     width_px: Float
-
-    def pick(self, index: Index) -> Binned:
-        """Those of some regions."""
-        return Binned(self.number[index], self.distance[index], self.mean[index], self.scatter[index], self.width_px[index])
 
     @cached_property
     def local(self) -> tuple[Float, ...]:
@@ -82,7 +161,7 @@ class Binned:
         return sum((part * coefficients[:, None, j : j + n] for j, part in enumerate(self.local)), start=np.zeros(()))
 
 
-def gather(values: Float, distance_px: Float, width_px: Float) -> Binned:
+def bin_samples(values: Float, distance_px: Float, width_px: Float) -> Binned:
     """Samples (regions, rows, n) gathered in the cells of the basis."""
     b = len(values)
     parts, intervals = centers().shape

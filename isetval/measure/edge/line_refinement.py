@@ -1,4 +1,4 @@
-"""Location on the samples near the edge: a rough ESF of few modes and the line in turns, until both rest."""
+"""Lines refined on the samples near the edge: an ESF of few modes and the line in turns, until both rest."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge import basis, transform
-from isetval.measure.edge.gather import LUT_STEP
-from isetval.measure.edge.prior import shape_prior
-from isetval.measure.edge.rows import Core, core_of, core_view, row_shifts, update_lines
-from isetval.measure.edge.shading import SideNoise
-from isetval.measure.edge.shape import REACH, STEP, Shapes, grid
-from isetval.measure.edge.stack import EdgeLines, Index, RowPolynomials, Stack, clip
+from isetval.measure.edge import spline_bins
+from isetval.measure.edge.esf_prior import shape_prior, tabulated
+from isetval.measure.edge.geometry import EdgeLines, Index, PerRegion, RowPolynomials, Stack, clip
+from isetval.measure.edge.illumination import SideNoise
+from isetval.measure.edge.row_shifts import REACH, STEP, Core, Shapes, core_of, core_view, grid, row_shifts, update_lines
+from isetval.measure.edge.spline_bins import LUT_STEP
 
 Float = NDArray[np.floating[Any]]
 
-MOVES = 6
+
+MAX_TURNS = 6
 MODES = 24
 EVEN, ODD = 0.004, 0.002
 MOVING_ERROR = 2e-3
@@ -28,8 +28,8 @@ LUT_HALF = int(REACH / LUT_STEP)
 
 
 @dataclass(frozen=True, eq=False)
-class RoughModel:
-    """Constant tables of the rough ESF: columns constant, mean shape, modes of largest prior variance."""
+class FewModeTables:
+    """Constant tables of the ESF of few modes: columns constant, mean shape, modes of largest prior variance."""
 
     center: Float
     nearest: Index
@@ -43,21 +43,21 @@ class RoughModel:
 
 
 @lru_cache(maxsize=1)
-def rough_model() -> RoughModel:
+def few_mode_tables() -> FewModeTables:
     """The tables, built once per process."""
-    prior, bins = shape_prior(), basis.bins()
+    prior, bins = shape_prior(), spline_bins.bins()
     variance = prior.variance(EVEN, ODD)
     best = np.sort(np.argsort(-variance * np.abs(prior.vectors).max(axis=0) ** 2)[:MODES])
     splines = np.column_stack([np.ones(len(prior.mean)), prior.mean, prior.vectors[:, best]])
     inside = np.flatnonzero(np.abs(bins.center) < REACH)
-    columns = basis.spline_matrix(bins.center[inside]) @ splines
+    columns = spline_bins.spline_matrix(bins.center[inside]) @ splines
     n = columns.shape[1]
     upper = np.triu_indices(n)
     square = np.zeros((n, n), dtype=np.intp)
     square[upper] = square[upper[1], upper[0]] = np.arange(len(upper[0]))
     z = (np.arange(-LUT_HALF, LUT_HALF) + 0.5) * LUT_STEP
     cell = np.clip(np.searchsorted(bins.edges, z) - 1 - inside[0], 0, len(inside) - 1)
-    return RoughModel(
+    return FewModeTables(
         center=bins.center[inside],
         nearest=np.rint((bins.center[inside] + REACH) / STEP).astype(np.intp),
         cell=np.concatenate([cell, [len(inside)]]),
@@ -65,30 +65,113 @@ def rough_model() -> RoughModel:
         columns=columns,
         square=square,
         precision=np.concatenate([[1e-8, 1e-8], 1 / variance[best]]),
-        level=(basis.spline_matrix(grid()) @ splines)[:, 1:],
-        slope=(basis.spline_matrix(grid(), derivative=1) @ splines)[:, 1:],
+        level=(spline_bins.spline_matrix(grid()) @ splines)[:, 1:],
+        slope=(spline_bins.spline_matrix(grid(), derivative=1) @ splines)[:, 1:],
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Rough:
-    """Lines, widths and rough ESFs."""
+class RefinedLines:
+    """Lines, their widths and the ESFs of few modes."""
 
     lines: EdgeLines
     width_px: Float
     shapes: Shapes
 
 
-def start_shapes(dark: Float, step: Float, width_px: Float) -> Shapes:
+def mean_shapes(dark: Float, step: Float, width_px: Float) -> Shapes:
     """The prior's mean shape between two levels."""
-    model = rough_model()
+    model = few_mode_tables()
     level = np.broadcast_to(model.level[:, 0], (len(dark), len(model.level)))
     return Shapes(dark, step, width_px, level, np.broadcast_to(model.slope[:, 0], level.shape))
 
 
-def rough_shapes(core: Core, values: Float, distance: Float, *, before: Shapes, noise: SideNoise, common: Float) -> Shapes:
+def refine_lines(
+    stack: Stack,
+    p: RowPolynomials,
+    lines: EdgeLines,
+    *,
+    shapes: Shapes,
+    illumination: Float,
+    half_px: float,
+    noise: SideNoise,
+    floor: float,
+    order: int | None,
+) -> RefinedLines:
+    """Refine the lines, starting from ``shapes`` (their widths are the first ones)."""
+    noise = SideNoise(np.maximum(noise.dark, floor), np.maximum(noise.bright, floor))
+    common = rounding_error(noise, floor) + (MOVING_ERROR * shapes.step) ** 2
+    lines, shapes = _Refinement(stack, p, illumination, half_px, noise, common, order).run(
+        _LinesAndShapes(lines, shapes, lines, shapes.width_px)
+    )
+    _, width = shapes.center_and_width()
+    return RefinedLines(lines, width, shapes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refinement(PerRegion):
+    """What stays the same while the lines are refined."""
+
+    stack: Stack
+    p: RowPolynomials
+    illumination: Float
+    half_px: float
+    noise: SideNoise
+    common: Float
+    order: int | None
+
+    def run(self, start: _LinesAndShapes, turn: int = 0) -> tuple[EdgeLines, Shapes]:
+        """Turn after turn; regions that rest leave the stack."""
+        here = start
+        core = core_of(self.stack, here.anchor, self.p, here.core_px)
+        orders = None if self.order is None else np.full(len(self.common), self.order)
+        while True:
+            lines, shapes = here.lines, here.shapes
+            view = core_view(self.stack, core, lines, self.p, illumination=self.illumination, half_px=self.half_px)
+            found = few_mode_shapes(core, view.values, view.distance, before=shapes, noise=self.noise, common=self.common)
+            shifts = row_shifts(core, view, found, self.noise)
+            new, _ = update_lines(lines, self.p, shifts, order=orders)
+            center, width = found.center_and_width()
+            new = shifted(new, center)
+            moved = np.abs(new.coefficients - lines.coefficients).max(axis=1)
+            enough = DONE_PX + DONE_SIGMA / np.sqrt(np.maximum(shifts.information, 1e-9))
+            rest = (moved < enough) & (np.abs(width / found.width_px - 1) < DONE_WIDTH)
+            turn += 1
+            if turn >= MAX_TURNS or rest.all():
+                return new, found
+            here = here.after(new, found.stretched(tabulated(width)))
+            if rest.any():
+                index = np.flatnonzero(~rest)
+                later, shape = self.pick(index).run(here.pick(index), turn)
+                return new.replaced(index, later), found.replaced(index, shape)
+            if here.anchor is not start.anchor:
+                start = here
+                core = core_of(self.stack, here.anchor, self.p, here.core_px)
+
+
+@dataclass(frozen=True, eq=False)
+class _LinesAndShapes(PerRegion):
+    """Present lines and shapes, and the lines and widths about which the cores were cut."""
+
+    lines: EdgeLines
+    shapes: Shapes
+    anchor: EdgeLines
+    core_px: Float
+
+    def after(self, lines: EdgeLines, shapes: Shapes) -> _LinesAndShapes:
+        """The next place; cores move only with lines that have left their middles."""
+        away = np.abs(lines.coefficients[:, 0] - self.anchor.coefficients[:, 0]) > 1.0 + 0.5 * shapes.width_px
+        if not away.any():
+            return _LinesAndShapes(lines, shapes, self.anchor, self.core_px)
+        index = np.flatnonzero(away)
+        return _LinesAndShapes(
+            lines, shapes, self.anchor.replaced(index, lines.pick(index)), np.where(away, shapes.width_px, self.core_px)
+        )
+
+
+def few_mode_shapes(core: Core, values: Float, distance: Float, *, before: Shapes, noise: SideNoise, common: Float) -> Shapes:
     """ESFs of few modes at a middle stiffness, from the core's samples; ``common`` variance of a cell's mean (regions,)."""
-    model = rough_model()
+    model = few_mode_tables()
     b, cells = len(values), len(model.center) + 1
     width = before.width_px[:, None, None]
     z = distance / width
@@ -116,101 +199,6 @@ def rough_shapes(core: Core, values: Float, distance: Float, *, before: Shapes, 
     step = np.maximum(solved[:, 1], 1e-3)
     shape = solved[:, 1:] / step[:, None]
     return Shapes(solved[:, 0] * before.step, step * before.step, before.width_px, shape @ model.level.T, shape @ model.slope.T)
-
-
-def locate(
-    stack: Stack,
-    p: RowPolynomials,
-    lines: EdgeLines,
-    *,
-    shapes: Shapes,
-    gain: Float,
-    half_px: float,
-    noise: SideNoise,
-    floor: float,
-    order: int | None,
-) -> Rough:
-    """Refine the lines, starting from ``shapes`` (their widths are the first ones)."""
-    noise = SideNoise(np.maximum(noise.dark, floor), np.maximum(noise.bright, floor))
-    common = rounding_error(noise, floor) + (MOVING_ERROR * shapes.step) ** 2
-    lines, shapes = _Turns(stack, p, gain, half_px, noise, common, order).run(_Place(lines, shapes, lines, shapes.width_px))
-    _, width = shapes.center_and_width()
-    return Rough(lines, width, shapes)
-
-
-@dataclass(frozen=True, eq=False)
-class _Turns:
-    """What stays the same while the lines are refined."""
-
-    stack: Stack
-    p: RowPolynomials
-    gain: Float
-    half_px: float
-    noise: SideNoise
-    common: Float
-    order: int | None
-
-    def pick(self, index: Index) -> _Turns:
-        return _Turns(
-            self.stack.pick(index),
-            self.p.pick(index),
-            self.gain[index],
-            self.half_px,
-            self.noise.pick(index),
-            self.common[index],
-            self.order,
-        )
-
-    def run(self, start: _Place, turn: int = 0) -> tuple[EdgeLines, Shapes]:
-        """Turn after turn; regions that rest leave the stack."""
-        here = start
-        core = core_of(self.stack, here.anchor, self.p, here.core_px)
-        orders = None if self.order is None else np.full(len(self.common), self.order)
-        while True:
-            lines, shapes = here.lines, here.shapes
-            view = core_view(self.stack, core, lines, self.p, gain=self.gain, half_px=self.half_px)
-            found = rough_shapes(core, view.values, view.distance, before=shapes, noise=self.noise, common=self.common)
-            shifts = row_shifts(core, view, found, self.noise)
-            new, _ = update_lines(lines, self.p, shifts, order=orders)
-            center, width = found.center_and_width()
-            new = shifted(new, center)
-            moved = np.abs(new.coefficients - lines.coefficients).max(axis=1)
-            enough = DONE_PX + DONE_SIGMA / np.sqrt(np.maximum(shifts.information, 1e-9))
-            rest = (moved < enough) & (np.abs(width / found.width_px - 1) < DONE_WIDTH)
-            turn += 1
-            if turn >= MOVES or rest.all():
-                return new, found
-            here = here.after(new, found.stretched(transform.tabulated(width)))
-            if rest.any():
-                index = np.flatnonzero(~rest)
-                later, shape = self.pick(index).run(here.pick(index), turn)
-                return new.replaced(index, later), found.replaced(index, shape)
-            if here.anchor is not start.anchor:
-                start = here
-                core = core_of(self.stack, here.anchor, self.p, here.core_px)
-
-
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """Present lines and shapes, and the lines and widths about which the cores were cut."""
-
-    lines: EdgeLines
-    shapes: Shapes
-    anchor: EdgeLines
-    core_px: Float
-
-    def pick(self, index: Index) -> _Place:
-        return _Place(self.lines.pick(index), self.shapes.pick(index), self.anchor.pick(index), self.core_px[index])
-
-    def after(self, lines: EdgeLines, shapes: Shapes) -> _Place:
-        """The next place; cores move only with lines that have left their middles."""
-        away = np.abs(lines.coefficients[:, 0] - self.anchor.coefficients[:, 0]) > 1.0 + 0.5 * shapes.width_px
-        if not away.any():
-            return _Place(lines, shapes, self.anchor, self.core_px)
-        index = np.flatnonzero(away)
-        return _Place(
-            lines, shapes, self.anchor.replaced(index, lines.pick(index)), np.where(away, shapes.width_px, self.core_px)
-        )
 
 
 def shifted(lines: EdgeLines, normal_px: Float) -> EdgeLines:

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError
-from isetval.measure.edge.estimate import measure_edges
-from isetval.measure.edge.found import Estimates, checked_choices
-from isetval.measure.edge.locate import FirstLooks, first_look, first_width
-from isetval.measure.edge.oecf import Oecf, linearised
-from isetval.measure.edge.report import Request, refused, results
-from isetval.measure.edge.result import SfrResult
-from isetval.measure.edge.samples import Samples, check_channel, plane_samples
-from isetval.measure.edge.stack import Stack, same_grid, stacked
-from isetval.measure.edge.verdict import Seen, prospects, too_small
+from isetval.measure.edge.alternating_fit import FittedEdges, checked_choices, measure_edges
+from isetval.measure.edge.first_look import FirstLooks, first_look, first_width, prospects
+from isetval.measure.edge.geometry import Stack, same_grid, stacked
+from isetval.measure.edge.iso12233 import compatibility_sfr
+from isetval.measure.edge.result_of_fit import Request, refused, results_of_fit
+from isetval.measure.edge.samples import Oecf, Samples, check_channel, linearised, plane_samples, too_small
+from isetval.measure.edge.sfr_result import SfrResult
+from isetval.measure.edge.verdict import Seen
 
 Float = NDArray[np.floating[Any]]
+
 
 METHODS = ("default", "iso12233:2017", "iso12233:2023", "lyu2022")
 ROUNDING_VARIANCE = 1 / 12
@@ -55,7 +55,7 @@ def sfr(
         ``choices`` of another result, to make the same data-driven choices (order of the edge, width and
         stiffness of the spline) again.
     oecf : "srgb", number, pairs or None
-        Curve of a rendered image, to be undone first: see ``isetval.measure.edge.oecf``.  Raw data need none.
+        Curve of a rendered image, to be undone first: see ``isetval.measure.edge.samples.oecf_table``.  Raw data need none.
 
     Returns
     -------
@@ -98,8 +98,6 @@ def sfr_batch(
         raise InputError(f"{len(many)} captures and {len(rois)} regions; give one capture, or one for each region")
     jobs = [_job(c, r, channel, i, oecf) for i, (c, r) in enumerate(zip(many, rois, strict=True))]
     if method != "default":
-        from isetval.measure.edge.iso import compatibility_sfr
-
         return [compatibility_sfr(job.capture, job.roi, channel=job.channel, method=method, oecf=oecf) for job in jobs]
     out: dict[int, SfrResult] = {}
     for group in _groups([_sampled(job) for job in jobs], out):
@@ -164,7 +162,7 @@ def _measure(jobs: list[_Job], out: dict[int, SfrResult], choices: Mapping[str, 
     """Measure jobs with equal grids."""
     stack = stacked([_samples_of(job) for job in jobs])
     looks = first_look(stack)
-    steep = looks.found & (np.abs(looks.lines.middle[1]) > STEEP) & ~np.array([job.turned for job in jobs])
+    steep = looks.exists & (np.abs(looks.lines.middle[1]) > STEEP) & ~np.array([job.turned for job in jobs])
     if steep.any():
         turned = [_turned(jobs[i]) for i in np.flatnonzero(steep)]
         for group in _groups(turned, out):
@@ -184,11 +182,11 @@ def _measure(jobs: list[_Job], out: dict[int, SfrResult], choices: Mapping[str, 
         jobs, stack, looks = [jobs[i] for i in good], stack.pick(good), looks.pick(good)
     if not jobs:
         return
-    for found in _estimates(stack, looks, width[good], choices):
-        names = found.names
-        seen = Seen((looks.bright - looks.dark)[names], before.noise_dn[good[names]])
-        asked = [jobs[i] for i in names]
-        for job, result in zip(asked, results(asked, found, seen), strict=True):
+    for fitted in _fitted(stack, looks, width[good], choices):
+        places = fitted.places
+        seen = Seen((looks.bright - looks.dark)[places], before.noise_dn[good[places]])
+        asked = [jobs[i] for i in places]
+        for job, result in zip(asked, results_of_fit(asked, fitted, seen), strict=True):
             out[job.index] = result
     for job in jobs:
         if job.index not in out:
@@ -201,8 +199,8 @@ def _turned(job: _Job) -> _Job:
     return replace(job, samples=linearised(samples, job.capture, job.oecf), turned=True)
 
 
-def _estimates(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None) -> list[Estimates]:
-    """Estimates; none of a region whose equations have no solution."""
+def _fitted(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None) -> list[FittedEdges]:
+    """Fitted edges; none of a region whose equations have no solution."""
     try:
         return measure_edges(stack, looks, width_px, floor=ROUNDING_VARIANCE, choices=choices)
     except np.linalg.LinAlgError:
@@ -211,8 +209,8 @@ def _estimates(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mappin
     out = []
     for i in range(len(stack)):
         one = np.array([i])
-        for found in _estimates(stack.pick(one), looks.pick(one), width_px[one], choices):
-            out.append(replace(found, names=one))
+        for fitted in _fitted(stack.pick(one), looks.pick(one), width_px[one], choices):
+            out.append(replace(fitted, places=one))
     return out
 
 

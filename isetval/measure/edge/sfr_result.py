@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from isetval.core.capture import Roi
 from isetval.core.errors import MeasurementError
 from isetval.measure.edge import spectrum
-from isetval.measure.edge.smooth import EsfFit
+from isetval.measure.edge.esf_fit import EsfFit
 
 Float = NDArray[np.floating[Any]]
+
 
 AXIS = "frequency along the edge normal, cycles per pixel of the full sensor grid"
 
@@ -95,7 +96,7 @@ class SfrResult:
     inflation: float = 1.0
     fit: EsfFit | None = field(default=None, repr=False)
     reach_px: tuple[float, float] = (0.0, 0.0)
-    profile: tuple[Float, Float, Float] | None = field(default=None, repr=False)
+    measured_curves: tuple[Float, Float, Float] | None = field(default=None, repr=False)
     sigma_curve: Float | None = field(default=None, repr=False)
     messages: Mapping[str, str] = field(default_factory=dict)
 
@@ -108,8 +109,8 @@ class SfrResult:
 
     @cached_property
     def _curves(self) -> tuple[Float, Float, Float]:
-        if self.profile is not None:
-            return self.profile
+        if self.measured_curves is not None:
+            return self.measured_curves
         return (np.zeros(0),) * 3 if self.fit is None else spectrum.esf_curves(self.fit, self.reach_px)
 
     @property
@@ -197,7 +198,7 @@ class SfrResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fit, as plain JSON values."""
-        skip = {"fit", "sigma_curve", "profile"}
+        skip = {"fit", "sigma_curve", "measured_curves"}
         out: dict[str, Any] = {"axis": AXIS}
         for name in self.__dataclass_fields__:
             if name not in skip:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.floating[Any]]
 
+
 SMOOTH_PX = 1.2
 THRESHOLD_SIGMA = 5.0
 SECTORS = 16

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.capture import Capture, Roi, field_mm
 from isetval.core.errors import InputError, MeasurementError
-from isetval.measure.edge.analysis import sfr, sfr_batch
-from isetval.measure.edge.detect import find_edges
-from isetval.measure.edge.result import SfrResult
+from isetval.measure.edge.edge_finding import find_edges
+from isetval.measure.edge.measure_regions import sfr, sfr_batch
+from isetval.measure.edge.sfr_result import SfrResult
 
 Float = NDArray[np.floating[Any]]
+
 
 PARALLEL_DEG = 30.0
 CENTER_SHARE = 0.05

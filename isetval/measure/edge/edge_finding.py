@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, black_image_dn, plane_view
 from isetval.core.errors import InputError
-from isetval.measure.edge.analysis import sfr
-from isetval.measure.edge.samples import check_channel
-from isetval.measure.edge.segments import Segment, find_segments
-from isetval.measure.edge.verdict import MIN_SIDE_PX
+from isetval.measure.edge.contours import Segment, find_segments
+from isetval.measure.edge.measure_regions import sfr
+from isetval.measure.edge.samples import MIN_SIDE_PX, check_channel
 
 Float = NDArray[np.floating[Any]]
+
 
 MIN_LENGTH_PX = 30.0
 MIN_CLEAR_PX = 10.0

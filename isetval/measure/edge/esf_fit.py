@@ -1,6 +1,6 @@
 """Posterior of the ESF given binned samples: penalised spline in its prior's modes, stiffness by marginal likelihood.
 
-Columns as in ``transform``; in the matrices the data come last.
+Columns as in ``esf_prior``; in the matrices the data come last.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from isetval.measure.edge import transform
-from isetval.measure.edge.gather import Binned
-from isetval.measure.edge.search import best_amplitudes
-from isetval.measure.edge.stack import Index
+from isetval.measure.edge import esf_prior
+from isetval.measure.edge.geometry import PerRegion
+from isetval.measure.edge.marginal_likelihood import best_amplitudes
+from isetval.measure.edge.spline_bins import Binned
 
 Float = NDArray[np.floating[Any]]
 
@@ -67,75 +67,24 @@ class EsfFit:
     @property
     def shading(self) -> Float:
         """Shading across the edge and its square, relative, (2,)."""
-        return self.coefficients[transform.shading_places()]
+        return self.coefficients[esf_prior.shading_places()]
 
     @property
     def shape(self) -> Float:
         """Coefficients of mean shape and modes."""
-        return self.coefficients[transform.shape_places()]
+        return self.coefficients[esf_prior.shape_places()]
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class Equations(PerRegion):
     """Normal equations in units of ``scale``, data last: (regions, columns + 1, columns + 1)."""
 
     matrix: Float
     scale: Float
 
-    def pick(self, index: Index) -> Equations:
-        """Those of some regions."""
-        return Equations(self.matrix[index], self.scale[index])
-
-
-def normal_equations(binned: Binned, variance: Float, *, shading: tuple[Float, Float], scale: Float) -> Equations:
-    """Normal equations of the binned samples.
-
-    Parameters
-    ----------
-    binned : Binned
-    variance : (regions, parts, intervals)
-        Noise variance of one sample in each cell, DN^2.
-    shading : two arrays like ``variance``
-        Columns of the shading across the edge, DN.
-    scale : (regions,)
-        Approximate steps, DN: the modes' unit.
-    """
-    b, _, n = binned.number.shape
-    unit = scale[:, None, None]
-    weight = binned.number / variance
-    weight *= unit * unit
-    value = binned.mean / unit
-    lights = [part / unit for part in shading]
-    splines = len(transform.level_columns())
-    local = np.stack(binned.local)
-    weighted = local * weight
-    blocks = (weighted[:, None] * local).sum(axis=3)
-    last = np.stack([*lights, value])
-    edges = (weighted[:, None] * last).sum(axis=3)
-    band = np.zeros((b, splines * splines))
-    sides = np.zeros((b, 3, splines))
-    for j in range(4):
-        for k in range(4):
-            band[:, j * splines + k :: splines + 1][:, :n] += blocks[j, k]
-        sides[:, :, j : j + n] += edges[j].swapaxes(0, 1)
-    columns = transform.level_columns()
-    half = (band.reshape(b * splines, splines) @ columns).reshape(b, splines, -1)
-    gram, cross = columns.T @ half, sides @ columns
-    size = gram.shape[1] + 3
-    out = np.empty((b, size, size))
-    even = transform.shading_places().start
-    places, extra = transform.level_places(), np.array([even, even + 1, size - 1])
-    out[:, :even, :even], out[:, :even, even + 2 : -1] = gram[:, :even, :even], gram[:, :even, even:]
-    out[:, even + 2 : -1, :even], out[:, even + 2 : -1, even + 2 : -1] = gram[:, even:, :even], gram[:, even:, even:]
-    last = last.swapaxes(0, 1).reshape(b, 3, -1)
-    out[:, extra[:, None], places] = cross
-    out[:, places[:, None], extra] = cross.swapaxes(1, 2)
-    out[:, extra[:, None], extra] = (last * weight.reshape(b, 1, -1)) @ last.swapaxes(1, 2)
-    return Equations(out, scale)
-
 
 @dataclass(frozen=True, eq=False)
-class EsfFits:
+class EsfFits(PerRegion):
     """Posteriors of the ESFs of a stack: see ``EsfFit``.  Arrays with one entry (matrix) for each region."""
 
     coefficients: Float
@@ -149,15 +98,11 @@ class EsfFits:
     chi2: Float
     cells: NDArray[np.intp]
 
-    def pick(self, index: Index) -> EsfFits:
-        """Those of some regions."""
-        return EsfFits(**{name: _picked(getattr(self, name), index) for name in self.__dataclass_fields__})
-
     def one(self, i: int) -> EsfFit:
         """Posterior of region ``i``."""
         scale = float(self.equations.scale[i])
         unit = np.full(self.coefficients.shape[1], scale)
-        unit[transform.shading_places()] = 1.0
+        unit[esf_prior.shading_places()] = 1.0
         return EsfFit(
             coefficients=self.coefficients[i],
             lower=self.lower[i],
@@ -175,7 +120,7 @@ class EsfFits:
     @property
     def shading(self) -> Float:
         """Shading across the edge and its square, relative, (regions, 2)."""
-        return self.coefficients[:, transform.shading_places()]
+        return self.coefficients[:, esf_prior.shading_places()]
 
     @property
     def dark(self) -> Float:
@@ -190,11 +135,7 @@ class EsfFits:
     @property
     def splines(self) -> Float:
         """Spline coefficients of the ESFs, DN, (regions, splines)."""
-        return self.coefficients[:, transform.level_places()] @ transform.level_columns().T
-
-
-def _picked(part: Any, index: Index) -> Any:
-    return part.pick(index) if isinstance(part, Equations) else part[index]
+        return self.coefficients[:, esf_prior.level_places()] @ esf_prior.level_columns().T
 
 
 def fit_esf(
@@ -216,10 +157,10 @@ def fit_esf(
     solved = np.stack([lapack.dtrtrs(m[:-1, :-1].T, h, lower=0)[0] for m, h in zip(lower, half, strict=True)])
     coefficients = root * solved
     coefficients *= scale[:, None]
-    coefficients[:, transform.shading_places()] /= scale[:, None]
-    fitted = binned.of_splines(coefficients[:, transform.level_places()] @ transform.level_columns().T)
+    coefficients[:, esf_prior.shading_places()] /= scale[:, None]
+    fitted = binned.of_splines(coefficients[:, esf_prior.level_places()] @ esf_prior.level_columns().T)
     for k, part in enumerate(shading):
-        fitted += part * coefficients[:, transform.shading_places()][:, k, None, None]
+        fitted += part * coefficients[:, esf_prior.shading_places()][:, k, None, None]
     rest = binned.mean - fitted
     chi2 = np.einsum("bpi,bpi,bpi->b", rest, rest, binned.number / variance)
     return EsfFits(
@@ -234,6 +175,53 @@ def fit_esf(
         chi2=chi2,
         cells=(binned.number > 0).sum(axis=(1, 2)),
     )
+
+
+def normal_equations(binned: Binned, variance: Float, *, shading: tuple[Float, Float], scale: Float) -> Equations:
+    """Normal equations of the binned samples.
+
+    Parameters
+    ----------
+    binned : Binned
+    variance : (regions, parts, intervals)
+        Noise variance of one sample in each cell, DN^2.
+    shading : two arrays like ``variance``
+        Columns of the shading across the edge, DN.
+    scale : (regions,)
+        Approximate steps, DN: the modes' unit.
+    """
+    b, _, n = binned.number.shape
+    unit = scale[:, None, None]
+    weight = binned.number / variance
+    weight *= unit * unit
+    value = binned.mean / unit
+    lights = [part / unit for part in shading]
+    splines = len(esf_prior.level_columns())
+    local = np.stack(binned.local)
+    weighted = local * weight
+    blocks = (weighted[:, None] * local).sum(axis=3)
+    last = np.stack([*lights, value])
+    edges = (weighted[:, None] * last).sum(axis=3)
+    band = np.zeros((b, splines * splines))
+    sides = np.zeros((b, 3, splines))
+    for j in range(4):
+        for k in range(4):
+            band[:, j * splines + k :: splines + 1][:, :n] += blocks[j, k]
+        sides[:, :, j : j + n] += edges[j].swapaxes(0, 1)
+    columns = esf_prior.level_columns()
+    half = (band.reshape(b * splines, splines) @ columns).reshape(b, splines, -1)
+    gram, cross = columns.T @ half, sides @ columns
+    size = gram.shape[1] + 3
+    out = np.empty((b, size, size))
+    even = esf_prior.shading_places().start
+    places, extra = esf_prior.level_places(), np.array([even, even + 1, size - 1])
+    out[:, :even, :even], out[:, :even, even + 2 : -1] = gram[:, :even, :even], gram[:, :even, even:]
+    out[:, even + 2 : -1, :even], out[:, even + 2 : -1, even + 2 : -1] = gram[:, even:, :even], gram[:, even:, even:]
+    last = last.swapaxes(0, 1).reshape(b, 3, -1)
+    out[:, extra[:, None], places] = cross
+    out[:, places[:, None], extra] = cross.swapaxes(1, 2)
+    out[:, extra[:, None], extra] = (last * weight.reshape(b, 1, -1)) @ last.swapaxes(1, 2)
+    return Equations(out, scale)
 
 
 def solve_lower(lower: Float, right: Float) -> Float:

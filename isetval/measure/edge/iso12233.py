@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, black_image_dn, plane_view
 from isetval.core.sensor import BAYER_PLANES
-from isetval.measure.edge import report, spectrum
-from isetval.measure.edge.locate import first_look, first_width
-from isetval.measure.edge.oecf import Oecf, linearised
-from isetval.measure.edge.result import SfrResult
-from isetval.measure.edge.samples import Samples, is_horizontal, plane_samples
-from isetval.measure.edge.stack import stacked
-from isetval.measure.edge.verdict import prospects, too_small
+from isetval.measure.edge import result_of_fit, spectrum
+from isetval.measure.edge.first_look import first_look, first_width, prospects
+from isetval.measure.edge.geometry import stacked
+from isetval.measure.edge.samples import Oecf, Samples, is_horizontal, linearised, plane_samples, too_small
+from isetval.measure.edge.sfr_result import SfrResult
 
 Float = NDArray[np.floating[Any]]
+
 
 OVERSAMPLING = 4
 GROUPS = 8
@@ -75,7 +74,7 @@ def compatibility_sfr(capture: Capture, roi: Roi, *, channel: str, method: str, 
 
 
 def _refuse(capture: Capture, roi: Roi, channel: str, method: str, *, code: str, sentence: str) -> SfrResult:
-    return report.refused(capture, roi, channel=channel, flags={code: sentence}, method=method)
+    return result_of_fit.refused(capture, roi, channel=channel, flags={code: sentence}, method=method)
 
 
 def _luminance(capture: Capture, roi: Roi) -> Samples:
@@ -213,9 +212,9 @@ def _report(
     if procedure.grid_cy_mm is not None:
         sigma = np.hypot(sigma, procedure.grid_cy_mm * pixel_um * 1e-3 / np.sqrt(12))  # a value on a grid
     _, _, esf, distance, angle = _curve(samples, procedure, sign)
-    normal = report.normal_direction(float(np.tan(np.radians(angle))), sign, transposed=samples.transposed)
+    normal = result_of_fit.normal_direction(float(np.tan(np.radians(angle))), sign, transposed=samples.transposed)
     low, high = (float(np.mean(part)) for part in (esf[: len(esf) // 8], esf[-(len(esf) // 8) :]))
-    empty = report.refused(capture, roi, channel=channel, flags={}, method=method)
+    empty = result_of_fit.refused(capture, roi, channel=channel, flags={}, method=method)
     middle_row, middle_col = float(samples.y_px.mean()), float(samples.x_px.mean())
     lsf = np.gradient(esf, distance) / (high - low)
     return replace(
@@ -231,10 +230,10 @@ def _report(
         mtf10_sigma=float(sigma[2]),
         mtf50p_cy_px=float(found[3]),
         mtf50p_sigma=float(sigma[3]),
-        angle_deg=report.folded_angle(normal),
+        angle_deg=result_of_fit.folded_angle(normal),
         orientation="horizontal" if samples.transposed else "vertical",
         normal_deg=normal,
-        profile=(distance * sign, esf, lsf * sign),
+        measured_curves=(distance * sign, esf, lsf * sign),
         edge_row_px=middle_col if samples.transposed else middle_row,
         edge_col_px=middle_row if samples.transposed else middle_col,
         dark_dn=min(low, high),

@@ -1,4 +1,4 @@
-"""First position of an edge: one crossing per row, then a robust polynomial; first width."""
+"""First look at the regions: crossings of the rows, robust line, width, and whether the rows agree on one edge."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.edge.stack import MAX_ORDER, EdgeLines, Index, RowPolynomials, Stack, clip, distances, row_polynomials
+from isetval.measure.edge.geometry import MAX_ORDER, EdgeLines, PerRegion, RowPolynomials, Stack, clip, distances, row_polynomials
 
 Float = NDArray[np.floating[Any]]
 Bool = NDArray[np.bool_]
+
 
 MIN_WIDTH_PX = 0.2
 MAX_WIDTH_PX = 60.0
@@ -21,10 +22,10 @@ TURNS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class FirstLooks:
+class FirstLooks(PerRegion):
     """What the first pass saw, arrays (regions,): lines, levels, scatter of the crossings about the lines.
 
-    ``p`` are the lines' polynomials at the rows, ``rows_used`` the rows with the edge (regions, rows); ``found``
+    ``p`` are the lines' polynomials at the rows, ``rows_used`` the rows with the edge (regions, rows); ``exists``
     tells where a line exists at all.
     """
 
@@ -34,35 +35,7 @@ class FirstLooks:
     bright: Float
     rows_used: Bool
     scatter_px: Float
-    found: Bool
-
-    def pick(self, index: Index) -> FirstLooks:
-        """Those of some regions."""
-        return FirstLooks(
-            self.lines.pick(index),
-            self.p.pick(index),
-            self.dark[index],
-            self.bright[index],
-            self.rows_used[index],
-            self.scatter_px[index],
-            self.found[index],
-        )
-
-
-def two_levels(values: Float) -> tuple[Float, Float]:
-    """Dark and bright level of every row of ``values`` (regions, m) by iterated thresholding at their middle."""
-    total, size = values.sum(axis=1), values.shape[1]
-    threshold = total / size
-    low = high = threshold
-    for _ in range(4):
-        above = values > threshold[:, None]
-        n = above.sum(axis=1)
-        part = np.where(above, values, 0.0).sum(axis=1)
-        split = (n > 0) & (n < size)
-        high = np.where(split, part / np.maximum(n, 1), high)
-        low = np.where(split, (total - part) / np.maximum(size - n, 1), low)
-        threshold = (low + high) / 2
-    return low, high
+    exists: Bool
 
 
 def first_look(stack: Stack) -> FirstLooks:
@@ -89,9 +62,25 @@ def first_look(stack: Stack) -> FirstLooks:
     rest = (middle - low) * sign[:, None]
     part = clip(rest / np.maximum((high - low) * sign[:, None], 1e-9 * step + 1e-300), 0.0, 1.0)
     x = stack.x0_px + stack.step_px * (k + part)
-    found = good.sum(axis=1) >= 6
-    lines, p, scatter = _robust_lines(x, np.where(found[:, None], good, True), stack, sign)
-    return FirstLooks(lines, p, dark, bright, good, scatter, found)
+    exists = good.sum(axis=1) >= 6
+    lines, p, scatter = _robust_lines(x, np.where(exists[:, None], good, True), stack, sign)
+    return FirstLooks(lines, p, dark, bright, good, scatter, exists)
+
+
+def two_levels(values: Float) -> tuple[Float, Float]:
+    """Dark and bright level of every row of ``values`` (regions, m) by iterated thresholding at their middle."""
+    total, size = values.sum(axis=1), values.shape[1]
+    threshold = total / size
+    low = high = threshold
+    for _ in range(4):
+        above = values > threshold[:, None]
+        n = above.sum(axis=1)
+        part = np.where(above, values, 0.0).sum(axis=1)
+        split = (n > 0) & (n < size)
+        high = np.where(split, part / np.maximum(n, 1), high)
+        low = np.where(split, (total - part) / np.maximum(size - n, 1), low)
+        threshold = (low + high) / 2
+    return low, high
 
 
 def _robust_lines(x: Float, good: Bool, stack: Stack, sign: Float) -> tuple[EdgeLines, RowPolynomials, Float]:
@@ -136,15 +125,48 @@ def _tukey(p: Float, x: Float, good: Bool, step_px: float) -> tuple[Float, Float
     return out, scale
 
 
+def first_width(stack: Stack, looks: FirstLooks) -> Float:
+    """Widths (interquartile / 1.349) from plain histogram ESFs of half-pixel bins, (regions,)."""
+    k = thinning(stack)
+    stack, p = stack.every(k), looks.p.every(stack.start(k), k)
+    distance = distances(stack, looks.lines, p)
+    step = 0.5 * stack.step_px
+    reach = int(np.abs(distance).max() / step) + 2
+    size = 2 * reach + 1
+    place = np.rint(distance * (1 / step) + reach).astype(np.intp)
+    place += (np.arange(len(place)) * size)[:, None, None]
+    place = place.ravel()
+    number = np.bincount(place, minlength=len(distance) * size).reshape(-1, size)
+    mean = np.bincount(place, stack.values.ravel(), len(distance) * size).reshape(-1, size) / np.maximum(number, 1)
+    level = (mean - looks.dark[:, None]) / np.maximum(looks.bright - looks.dark, 1e-300)[:, None]
+    seen = number > 0
+    x = np.arange(-reach, reach + 1)
+    up = np.where(seen & (level > 0.75) & (x >= 0), x, reach).min(axis=1)
+    down = np.where(seen & (level < 0.25) & (x <= 0), x, -reach).max(axis=1)
+    last, lowest = np.where(seen, x, -reach).max(axis=1), np.where(seen, x, reach).min(axis=1)
+    width = np.maximum(np.minimum(up, last) - np.maximum(down, lowest) - 1, 1) * (step / 1.349)
+    return np.asarray(clip(width, MIN_WIDTH_PX, MAX_WIDTH_PX))
+
+
 def thinning(stack: Stack) -> int:
     """Step of the rows that leaves about ``THINNED`` samples: odd, which keeps both parities of a quincunx."""
     k = max(1, int(stack.values[0].size) // THINNED)
     return k + 1 - k % 2
 
 
-def _some_rows(values: Float, most: int) -> Float:
-    """Every k-th row, about ``most`` samples of a region."""
-    return values[:, :: max(1, values.shape[1] * values.shape[2] // most)]
+@dataclass(frozen=True, eq=False)
+class Prospects:
+    """What speaks against an edge before it is fitted: code and sentence of every region, or None; noise of a sample, DN."""
+
+    reasons: list[tuple[str, str] | None]
+    noise_dn: Float
+
+
+def prospects(stack: Stack, looks: FirstLooks, width_px: Float) -> Prospects:
+    """Whether the rows of every region agree on one edge."""
+    noise, mean_change = pixel_noise(stack)
+    seen = transitions(stack, dark=looks.dark, bright=looks.bright, noise=np.maximum(noise, mean_change))
+    return Prospects([_not_an_edge(stack, looks, seen, width_px, i) for i in range(len(stack))], noise)
 
 
 def pixel_noise(stack: Stack) -> tuple[Float, Float]:
@@ -155,6 +177,11 @@ def pixel_noise(stack: Stack) -> tuple[Float, Float]:
     k = change.shape[1] // 2
     change.partition(k, axis=1)
     return 1.4826 * change[:, k] / float(np.sqrt(2)), mean
+
+
+def _some_rows(values: Float, most: int) -> Float:
+    """Every k-th row, about ``most`` samples of a region."""
+    return values[:, :: max(1, values.shape[1] * values.shape[2] // most)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,32 +212,40 @@ def transitions(stack: Stack, *, dark: Float, bright: Float, noise: Float) -> Tr
     return Transitions((count > 1).mean(axis=1), np.minimum(up, down), step[:, 0, 0] > 3.2 * noise)
 
 
+def _not_an_edge(stack: Stack, looks: FirstLooks, seen: Transitions, width_px: Float, i: int) -> tuple[str, str] | None:
+    """Code and sentence if the rows do not agree on one edge."""
+    several, against = float(seen.several[i]), float(seen.against[i])
+    if seen.clear[i] and (several > 0.2 or against > 0.2):
+        return "two_edges", (
+            f"{100 * several:.0f} % of the rows cross between dark and bright more than once"
+            + (" and others in opposite directions" if against > 0.2 else "")
+            + "; choose a region with a single edge"
+        )
+    if not looks.exists[i]:
+        return "no_edge", "no row of the region crosses from dark to bright; place the region on an edge"
+    reach = stack.step_px * stack.values.shape[2]
+    rows, used = len(stack.y_px), int(looks.rows_used[i].sum())
+    if used < max(8, 0.2 * rows) or looks.scatter_px[i] > 0.12 * reach:
+        return "no_edge", (
+            f"{used} of {rows} rows cross and scatter by {looks.scatter_px[i]:.1f} px about the best curve; "
+            "place the region on one edge"
+        )
+    if width_px[i] > 0.12 * reach:
+        if is_sharp(stack.values[i], float(looks.bright[i] - looks.dark[i])):
+            return (
+                "two_edges",
+                "the rows change abruptly more than once or at different places; choose a region with a single edge",
+            )
+        return (
+            "no_edge",
+            f"the level changes smoothly over a quarter of the {reach:g} px or more: no edge, or too blurred for the region",
+        )
+    return None
+
+
 def is_sharp(values: Float, step: float) -> bool:
     """Whether a quarter of the rows of ``values`` (rows, n) change by a third of the step within three samples."""
     walk = np.cumsum(values[::2], axis=1)
     mean = (walk[:, 3:] - walk[:, :-3]) / 3
     steepest = np.abs(mean[:, 3:] - mean[:, :-3]).max(axis=1)
     return float(np.quantile(steepest, 0.75)) > step / 3
-
-
-def first_width(stack: Stack, looks: FirstLooks) -> Float:
-    """Widths (interquartile / 1.349) from plain histogram ESFs of half-pixel bins, (regions,)."""
-    k = thinning(stack)
-    stack, p = stack.every(k), looks.p.every(stack.start(k), k)
-    distance = distances(stack, looks.lines, p)
-    step = 0.5 * stack.step_px
-    reach = int(np.abs(distance).max() / step) + 2
-    size = 2 * reach + 1
-    place = np.rint(distance * (1 / step) + reach).astype(np.intp)
-    place += (np.arange(len(place)) * size)[:, None, None]
-    place = place.ravel()
-    number = np.bincount(place, minlength=len(distance) * size).reshape(-1, size)
-    mean = np.bincount(place, stack.values.ravel(), len(distance) * size).reshape(-1, size) / np.maximum(number, 1)
-    level = (mean - looks.dark[:, None]) / np.maximum(looks.bright - looks.dark, 1e-300)[:, None]
-    seen = number > 0
-    x = np.arange(-reach, reach + 1)
-    up = np.where(seen & (level > 0.75) & (x >= 0), x, reach).min(axis=1)
-    down = np.where(seen & (level < 0.25) & (x <= 0), x, -reach).max(axis=1)
-    last, lowest = np.where(seen, x, -reach).max(axis=1), np.where(seen, x, reach).min(axis=1)
-    width = np.maximum(np.minimum(up, last) - np.maximum(down, lowest) - 1, 1) * (step / 1.349)
-    return np.asarray(clip(width, MIN_WIDTH_PX, MAX_WIDTH_PX))

@@ -1,0 +1,357 @@
+"""The default estimator: location, illumination, noise and ESF of a stack of regions in a few alternating rounds.
+
+One round: refine the lines on the samples near them (``line_refinement``), fit the illumination along the edge
+(``illumination``), bin all samples by distance (``spline_bins``), fit the ESF and the illumination across the edge
+(``esf_fit``).  A region leaves once its illumination rests; its line is then polished against the final ESF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.errors import InputError
+from isetval.measure.edge import spline_bins
+from isetval.measure.edge.esf_fit import EsfFits, fit_esf
+from isetval.measure.edge.esf_prior import tabulated, width_index, width_of
+from isetval.measure.edge.first_look import FirstLooks, thinning
+from isetval.measure.edge.geometry import MAX_ORDER, EdgeLines, Index, PerRegion, RowPolynomials, Stack, clip, distances
+from isetval.measure.edge.illumination import SideNoise, fit_along, illumination_at
+from isetval.measure.edge.line_refinement import mean_shapes, refine_lines, rounding_error
+from isetval.measure.edge.row_shifts import Shapes, core_of, core_view, grid, row_shifts, update_lines
+from isetval.measure.edge.spline_bins import Binned, bin_samples, noise_level
+
+Float = NDArray[np.floating[Any]]
+
+
+ROUNDS = 8
+POLISH = 3
+LINE_DONE_PX, LINE_DONE_SIGMA = 2e-4, 0.15
+MODEL_ERROR = 2e-5
+UNDITHERED = 0.01
+ALONG_DONE, ACROSS_DONE = 0.0005, 0.0007
+PLAIN_LIGHT = 0.02
+MAX_SHADING = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class FittedEdges(PerRegion):
+    """Everything that the fit of a stack found; lines count from the regions' origins, arrays (regions, ...).
+
+    ``places`` are the regions' places in the stack that was asked for; ``scatter_dn`` of the values about their
+    cells' means; ``near_px`` distances of the samples near the edge; ``information`` on the edges' place, 1/px^2.
+    """
+
+    places: Index
+    stack: Stack
+    lines: EdgeLines
+    illumination: Float
+    half_px: float
+    fits: EsfFits
+    noise: SideNoise
+    scatter_dn: Float
+    distance_px: Float
+    near_px: Float
+    information: Float
+    row_chi2: Float
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @cached_property
+    def reach_px(self) -> tuple[Float, Float]:
+        """Least and largest distance from the edge."""
+        ends = self.distance_px[:, :, [0, -1]].reshape(len(self), -1)
+        return ends.min(axis=1), ends.max(axis=1)
+
+    @cached_property
+    def slope(self) -> Float:
+        """dx/dy of the edges at their middles."""
+        return self.lines.middle[1]
+
+    @cached_property
+    def angle_deg(self) -> Float:
+        """Angle from the nearer pixel axis, 0 to 45."""
+        angle = np.degrees(np.arctan(np.abs(self.slope)))
+        return np.asarray(np.minimum(angle, 90 - angle))
+
+    @property
+    def edge_sigma_px(self) -> Float:
+        """Standard deviation of the edge's place."""
+        return np.asarray(1 / np.sqrt(np.maximum(self.information, 1e-300)))
+
+    @property
+    def roughness_px(self) -> Float:
+        """Scatter of the edge's place from row to row beyond the noise."""
+        extra = (self.row_chi2 - 1) * len(self.stack.y_px) / np.maximum(self.information, 1e-300)
+        return np.asarray(np.sqrt(np.fmax(extra, 0.0)))
+
+    def choices(self, i: int) -> dict[str, Any]:
+        """What the data chose for region ``i``."""
+        return {
+            "order": int(self.lines.order[i]),
+            "width_index": width_index(float(self.fits.width_px[i])),
+            "even": float(self.fits.even[i]),
+            "odd": float(self.fits.odd[i]),
+            "light": float(self.fits.light[i]),
+        }
+
+
+def checked_choices(choices: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Choices of another result as plain numbers.
+
+    Raises
+    ------
+    InputError
+        For names or values that no result has.
+    """
+    given = dict(choices or {})
+    kinds = {"order": int, "width_index": int, "even": float, "odd": float, "light": float}
+    try:
+        out = {name: kinds[name](value) for name, value in given.items()}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"choices are {given!r}; they need {', '.join(kinds)} of another result") from error
+    if not 1 <= out.get("order", 1) <= MAX_ORDER:
+        raise InputError(f"choices ask for order {out['order']}; it needs 1 to {MAX_ORDER}")
+    if {"even", "odd", "light"} & out.keys() and not {"even", "odd", "light"} <= out.keys():
+        raise InputError("choices hold some of even, odd and light; they need all three or none")
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Task(PerRegion):
+    """What stays the same while a stack is fitted."""
+
+    stack: Stack
+    p: RowPolynomials
+    thin: int
+    bright: Float
+    floor: float
+    chosen: dict[str, Any]
+
+    @property
+    def half_px(self) -> float:
+        rows, n = self.stack.values.shape[1:]
+        return float(0.5 * max(self.stack.step_px * n, self.stack.row_step_px * rows))
+
+    @property
+    def order(self) -> int | None:
+        return self.chosen.get("order")
+
+    def along(self, lines: EdgeLines, illumination: Float, width_px: Float) -> tuple[Float, SideNoise]:
+        some = self.stack.every(self.thin)
+        p = self.p.every(self.stack.start(self.thin), self.thin)
+        return fit_along(some, lines, p, illumination=illumination, half_px=self.half_px, width_px=width_px)
+
+
+@dataclass(frozen=True, eq=False)
+class _State(PerRegion):
+    """Where a stack stands: lines, illumination, noise seen along the edge, ESF shapes on the core grid."""
+
+    lines: EdgeLines
+    illumination: Float
+    sides: SideNoise
+    shapes: Shapes
+
+
+@dataclass(frozen=True, eq=False)
+class _FullFit(PerRegion):
+    """Fits of all samples."""
+
+    fits: EsfFits
+    shapes: Shapes
+    noise: SideNoise
+    binned: Binned
+    distance_px: Float
+
+
+def measure_edges(
+    stack: Stack, looks: FirstLooks, width_px: Float, *, floor: float, choices: Mapping[str, Any] | None = None
+) -> list[FittedEdges]:
+    """Fit lines, illumination, noise and ESF of every region; those that rested together come together.
+
+    Parameters
+    ----------
+    stack : Stack
+    looks : FirstLooks
+    width_px : (regions,)
+        First widths.
+    floor : float
+        Least variance of a sample, DN^2 (rounding).
+    choices : mapping or None
+        Order, width and amplitudes chosen on another capture.
+    """
+    chosen = dict(choices or {})
+    lines = looks.lines
+    if chosen.get("order") is not None:
+        top = np.minimum(lines.order, chosen["order"])
+        lines = lines.moved(np.where(np.arange(lines.coefficients.shape[1]) <= top[:, None], lines.coefficients, 0.0), top)
+    task = _Task(stack, looks.p, thinning(stack), looks.bright, floor, chosen)
+    illumination, sides = task.along(lines, np.zeros((len(stack), 5)), width_px)
+    shapes = mean_shapes(looks.dark, looks.bright - looks.dark, tabulated(width_px))
+    out: list[FittedEdges] = []
+    _alternate(task, _State(lines, illumination, sides, shapes), np.arange(len(stack)), out)
+    return out
+
+
+def _alternate(task: _Task, state: _State, places: Index, out: list[FittedEdges]) -> None:
+    """Location, illumination and ESF in turns; regions whose illumination rests leave the stack."""
+    for turn in range(ROUNDS):
+        state = _refined(task, state)
+        before = state.illumination
+        state = _illuminated(task, state, always=turn > 0)
+        full = _full_fit(task, state)
+        rest = _illumination_rests(task, before, state.illumination, full) | (turn == ROUNDS - 1)
+        if rest.all():
+            _polish(task, state, full, places, out)
+            return
+        done, left = np.flatnonzero(rest), np.flatnonzero(~rest)
+        if len(done):
+            _polish(task.pick(done), state.pick(done), full.pick(done), places[done], out)
+        illumination = state.illumination.copy()
+        illumination[:, 3:] = clip(illumination[:, 3:] + full.fits.shading, -MAX_SHADING, MAX_SHADING)
+        state = _State(state.lines, illumination, state.sides, full.shapes).pick(left)
+        task, places = task.pick(left), places[left]
+
+
+def _refined(task: _Task, state: _State) -> _State:
+    found = refine_lines(
+        task.stack,
+        task.p,
+        state.lines,
+        shapes=state.shapes,
+        illumination=state.illumination,
+        half_px=task.half_px,
+        noise=state.sides,
+        floor=task.floor,
+        order=task.order,
+    )
+    return _State(found.lines, state.illumination, state.sides, found.shapes.stretched(tabulated(found.width_px)))
+
+
+def _illuminated(task: _Task, state: _State, *, always: bool) -> _State:
+    """Illumination along the edge from the new line, where it is more than little."""
+    redo = (np.abs(state.illumination[:, :3]).max(axis=1) > PLAIN_LIGHT) | always
+    if not redo.any():
+        return state
+    illumination, sides = task.along(state.lines, state.illumination, state.shapes.width_px)
+    noise = (np.where(redo, new, old) for new, old in ((sides.dark, state.sides.dark), (sides.bright, state.sides.bright)))
+    return _State(state.lines, np.where(redo[:, None], illumination, state.illumination), SideNoise(*noise), state.shapes)
+
+
+def _illumination_rests(task: _Task, before: Float, after: Float, full: _FullFit) -> NDArray[np.bool_]:
+    """Where the illumination has stopped changing, up to its own noise."""
+    samples = task.stack.values[0, task.stack.start(task.thin) :: task.thin].size
+    noisy = 3 * np.sqrt(full.noise.bright / samples) / task.bright
+    change = np.abs(before - after)[:, :3].max(axis=1)
+    rest = (change < ALONG_DONE + noisy) & (np.abs(full.fits.shading).max(axis=1) < ACROSS_DONE + 5 * noisy)
+    return np.asarray(rest)
+
+
+def _full_fit(task: _Task, state: _State) -> _FullFit:
+    """The ESFs from all samples."""
+    shapes, width = state.shapes, state.shapes.width_px
+    if "width_index" in task.chosen:
+        width = np.full(len(width), width_of(int(task.chosen["width_index"])))
+    distance = distances(task.stack, state.lines, task.p)
+    light = illumination_at(task.stack, state.lines, state.illumination, task.half_px)
+    binned = bin_samples(np.divide(task.stack.values, light, out=light), distance, width)
+    noise = noise_level(binned, floor=np.maximum(task.floor, (1e-5 * shapes.step) ** 2))
+    level = shapes.at(binned.distance * (width / shapes.width_px)[:, None, None])[0]
+    rounding = rounding_error(noise, task.floor)
+    common = equal_cells(binned, level * shapes.step[:, None, None], rounding > UNDITHERED * task.floor)
+    common *= rounding[:, None, None]
+    common += ((MODEL_ERROR * shapes.step) ** 2)[:, None, None]
+    place = binned.distance * (width / task.half_px)[:, None, None]
+    variance = noise.at(level) + binned.number * common
+    level *= shapes.step[:, None, None]
+    level += shapes.dark[:, None, None]
+    level *= place
+    fits = fit_esf(
+        binned,
+        variance,
+        shading=(level, level * place),
+        scale=shapes.step,
+        # illumination across the edge that was already divided out must not be held against the rest
+        lit=np.asarray(state.illumination[:, 3:].any(axis=1)),
+        choices=task.chosen,
+    )
+    return _FullFit(fits, _table(fits), noise, binned, distance)
+
+
+def equal_cells(binned: Binned, expected_dn: Float, undithered: NDArray[np.bool_]) -> Float:
+    """Number of cells whose samples round to the same DN, where noise does not dither them: their rounding errors are one.
+
+    ``expected_dn`` is the level expected in every cell; 1 where noise dithers.
+    """
+    out = np.ones(binned.number.shape)
+    for i in np.flatnonzero(undithered):
+        seen = binned.number[i] > 0
+        value = expected_dn[i][seen]
+        order = np.sort(value)
+        out[i][seen] = np.searchsorted(order, value + 0.5, "right") - np.searchsorted(order, value - 0.5, "left")
+    return out
+
+
+def _table(fits: EsfFits) -> Shapes:
+    """ESFs on the core grid."""
+    value, slope = _grid_splines()
+    step = np.where(np.abs(fits.step) > 0, fits.step, 1e-300)[:, None]
+    relative = fits.splines - fits.dark[:, None]
+    relative /= step
+    return Shapes(fits.dark, fits.step, fits.width_px, relative @ value.T, relative @ slope.T)
+
+
+@lru_cache(maxsize=1)
+def _grid_splines() -> tuple[Float, Float]:
+    return spline_bins.spline_matrix(grid()), spline_bins.spline_matrix(grid(), derivative=1)
+
+
+def _polish(task: _Task, state: _State, full: _FullFit, places: Index, out: list[FittedEdges]) -> None:
+    """Lines once more against the final ESFs, and the ESFs again while lines still move."""
+    for turn in range(POLISH + 1):
+        shapes = full.shapes
+        core = core_of(task.stack, state.lines, task.p, shapes.width_px)
+        view = core_view(task.stack, core, state.lines, task.p, illumination=state.illumination, half_px=task.half_px)
+        shifts = row_shifts(core, view, shapes, full.noise)
+        orders = None if task.order is None else np.full(len(places), task.order)
+        new, row_chi2 = update_lines(state.lines, task.p, shifts, order=orders)
+        moved = np.abs(new.coefficients - state.lines.coefficients).max(axis=1)
+        enough = LINE_DONE_PX + LINE_DONE_SIGMA / np.sqrt(np.maximum(shifts.information, 1e-9))
+        rest = ~(moved >= enough) | (turn == POLISH)
+        fitted = _fitted(task, state, full, places, near_px=view.distance, information=shifts.information, row_chi2=row_chi2)
+        if rest.all():
+            out.append(fitted)
+            return
+        done, left = np.flatnonzero(rest), np.flatnonzero(~rest)
+        if len(done):
+            out.append(fitted.pick(done))
+        state = _State(new, state.illumination, state.sides, full.shapes).pick(left)
+        task, places = task.pick(left), places[left]
+        full = _full_fit(task, state)
+
+
+def _fitted(
+    task: _Task, state: _State, full: _FullFit, places: Index, *, near_px: Float, information: Float, row_chi2: Float
+) -> FittedEdges:
+    binned = full.binned
+    scatter, number = (part.reshape(len(places), -1).sum(axis=1) for part in (binned.scatter, binned.number))
+    return FittedEdges(
+        places=places,
+        stack=task.stack,
+        lines=state.lines,
+        illumination=state.illumination,
+        half_px=task.half_px,
+        fits=full.fits,
+        noise=full.noise,
+        scatter_dn=np.sqrt(scatter / number),
+        distance_px=full.distance_px,
+        near_px=near_px,
+        information=information,
+        row_chi2=row_chi2,
+    )
