@@ -13,10 +13,10 @@ from isetval.core.version import VERSION
 _NAMED = ("numpy", "scipy", "pandas", "rawpy", "opencv-contrib-python-headless", "mitsuba")
 METRIC_VERSIONS = {
     "chart": 1,
-    "dark": 2,
+    "dark": 3,
     "find_edges": 2,
     "flat_fields": 2,
-    "photon_transfer": 2,
+    "photon_transfer": 3,
     "relative_illumination": 2,
     "sfr": 2,
     "uniform_patches": 1,

@@ -11,8 +11,8 @@ import numpy as np
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, plane_view
 from isetval.core.metric import Block, Metric
+from isetval.core.quantity import Quantity
 from isetval.measure.conditions import metric, shot_conditions, window_label
-from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.specimen import specimen_loadings
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics
 

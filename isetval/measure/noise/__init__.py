@@ -3,7 +3,7 @@
 from isetval.core.lazy import lazy_names
 
 _NAMES = {
-    "Quantity": "isetval.measure.noise.quantity",
+    "Quantity": "isetval.core.quantity",
     "dark": "isetval.measure.noise.dark_frames",
     "dark_statistics": "isetval.measure.noise.statistics",
     "emva1288": "isetval.measure.noise.emva",

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.quantity import Quantity
 from isetval.measure.noise.curve import Response
 from isetval.measure.noise.levels import Level, LevelSeries
 from isetval.measure.noise.moments import frame_moments
-from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.statistics import PlaneStatistics, neighbour_covariance
 
 LARGEST = 512

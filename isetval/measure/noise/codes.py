@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.noise.quantity import Quantity
+from isetval.core.quantity import Quantity
 
 MIN_EXPECTED = 10.0
 MIN_CODES = 5

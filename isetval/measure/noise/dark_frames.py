@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isetval.core.capture import Capture, Roi, planes_of
+from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
-from isetval.measure.noise.quantity import Quantity, root
-from isetval.measure.noise.reference import DarkLevel, dark_level
+from isetval.core.quantity import Quantity, root
+from isetval.measure.noise.reference import TAG_DIFFERS, DarkLevel, dark_level, differs_from_tag
 from isetval.measure.noise.statistics import check_frames, check_region
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class PlaneDark:
-    """Dark signal of one plane, DN.
+    """Dark signal of one plane, DN; what came out of a negative variance is 0 and has a note.
 
     Parameters
     ----------
@@ -33,17 +33,17 @@ class PlaneDark:
     temporal_noise_dn : Quantity
         The same with what whole rows and frames do.
     row_temporal_noise_dn : Quantity
-        Signed standard deviation of row means from frame to frame beyond pixel noise.
+        Standard deviation of row means from frame to frame beyond pixel noise.
     dsnu_dn : Quantity
-        Fixed pixel-to-pixel pattern without residual noise, signed standard deviation.
+        Fixed pixel-to-pixel pattern without residual noise.
     row_fixed_dn, column_fixed_dn : Quantity
-        Fixed row and column parts, signed standard deviations.
+        Fixed row and column parts.
     dark_current_dn_per_s, dark_current_variance_dn2_per_s : Quantity
         Slopes of mean and of temporal variance over exposure time; their ratio is K.
     hot_pixels, noisy_pixels : int
         Pixels above the field at the longest time; pixels of excess temporal noise (telegraph noise).
     drift_dn : Quantity
-        Signed standard deviation of frame means beyond noise.
+        Standard deviation of frame means beyond noise.
     frame_means_dn : array (frames,)
         Raw mean of every frame, in the order given.
     levels : tuple of (time_s or None, DarkLevel)
@@ -87,16 +87,16 @@ class Dark(Mapping[str, PlaneDark]):
         return len(self.planes)
 
     def to_frame(self) -> pd.DataFrame:
-        """One row a quantity: plane, name, value, sigma, unit, flags."""
+        """One row a quantity: plane, name, value, sigma, unit, flags, note."""
         import pandas as pd
 
         rows = [
-            (plane, name, value.value, value.total_sigma, value.unit, " ".join(result.flags))
+            (plane, name, value.value, value.total_sigma, value.unit, " ".join(result.flags), value.note)
             for plane, result in self.planes.items()
             for name, value in vars(result).items()
             if isinstance(value, Quantity)
         ]
-        return pd.DataFrame(rows, columns=["plane", "name", "value", "sigma", "unit", "flags"])
+        return pd.DataFrame(rows, columns=["plane", "name", "value", "sigma", "unit", "flags", "note"])
 
 
 def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
@@ -138,7 +138,9 @@ def _plane_dark(captures: Sequence[Capture], plane: str, roi: Roi | None) -> Pla
     first = levels[0][1]
     current, intercept = _mean_slope(levels)
     by_variance = _variance_slope(levels)
-    flags = list(dict.fromkeys(f for _, level in levels for f in level.flags))
+    flags = list(dict.fromkeys(f for _, level in levels for f in level.flags if f != TAG_DIFFERS))
+    if differs_from_tag(intercept, plane_black_dn(captures[0], plane)):
+        flags.append(TAG_DIFFERS)
     if first.moments.frames < 2:
         flags.append("single_frame")
     if current.value < -4 * current.sigma:
@@ -165,8 +167,6 @@ def _plane_dark(captures: Sequence[Capture], plane: str, roi: Roi | None) -> Pla
 
 
 def _frame_means(captures: Sequence[Capture], plane: str, roi: Roi | None) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    from isetval.core.capture import plane_view
-
     return np.array([plane_view(c, plane, roi)[0].mean(dtype=np.float64) for c in captures])
 
 

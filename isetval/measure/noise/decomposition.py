@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.quantity import Quantity
 from isetval.measure.noise.moments import Moments
-from isetval.measure.noise.quantity import Quantity
 
 Float = NDArray[np.float64]
 MAX_OUTLIER_SHARE = 0.2

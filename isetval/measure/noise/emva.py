@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isetval.core.capture import Capture, Roi
+from isetval.core.quantity import Quantity, root
 from isetval.measure.noise.dark_frames import dark as dark_analysis
 from isetval.measure.noise.grouping import group
-from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.transfer import PhotonTransfer, PlaneTransfer, photon_transfer
 
 if TYPE_CHECKING:
@@ -88,13 +88,7 @@ def emva1288(
 
 
 def _row(plane: str, name: str, symbol: str, q: Quantity, note: str = "") -> EmvaRow:
-    return EmvaRow(plane, name, symbol, q.value, q.total_sigma, q.unit, note)
-
-
-def _ratio(a: Quantity, b: Quantity, unit: str) -> Quantity:
-    value = a.value / b.value
-    relative = math.hypot(a.total_sigma / a.value if a.value else math.inf, b.total_sigma / b.value)
-    return Quantity(value, abs(value) * relative, unit)
+    return EmvaRow(plane, name, symbol, q.value, q.total_sigma, q.unit, "; ".join(filter(None, (note, q.note))))
 
 
 def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaRow]:
@@ -103,14 +97,14 @@ def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaR
     yield _row(plane, "temporal dark noise", "sigma_d", read, "rounding removed exactly; read and reset noise together")
     yield _row(plane, "temporal dark noise", "sigma_y.dark", t.read_noise_dn)
     top = saturation_level(t)
-    capacity = _ratio(top, gain, "e-")
+    capacity = top.over(gain, "e-")
     found = "saturated_levels_left_out" in t.flags
     yield _row(plane, "saturation capacity", "mu_e.sat", capacity, "" if found else "lower bound: no saturated level was shot")
     noise = math.hypot(read.value, math.sqrt(1 / 12) / gain.value)
     threshold = math.sqrt(noise**2 + 0.25) + 0.5
     threshold_e = Quantity(threshold, read.sigma * read.value / math.sqrt(noise**2 + 0.25), "e-")
     yield _row(plane, "sensitivity threshold", "mu_e.min", threshold_e, "signal-to-noise ratio 1")
-    ratio = _ratio(capacity, threshold_e, "1")
+    ratio = capacity.over(threshold_e, "1")
     yield _row(plane, "dynamic range", "DR", Quantity(20 * math.log10(ratio.value), 8.686 * ratio.sigma / ratio.value, "dB"))
     snr = 10 * math.log10(capacity.value)
     yield _row(plane, "maximum signal-to-noise ratio", "SNR_max", Quantity(snr, 4.343 * capacity.sigma / capacity.value, "dB"))
@@ -119,7 +113,7 @@ def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaR
     yield _row(plane, "linearity error, highest", "LE_max", high, "5 to 95 % of saturation, over exposure time")
     efficiency = _efficiency(t, flux)
     yield _row(plane, "quantum efficiency", "eta", efficiency, "" if flux else "needs photons_per_pixel_s")
-    photons = _ratio(threshold_e, efficiency.scaled(0.01, "1"), "photons")
+    photons = threshold_e.over(efficiency.scaled(0.01, "1"), "photons")
     yield _row(plane, "absolute sensitivity threshold", "mu_p.min", photons, "" if flux else "needs photons_per_pixel_s")
 
 
@@ -179,14 +173,14 @@ def _patterns(plane: str, t: PlaneTransfer) -> Iterable[EmvaRow]:
     used = [level for level in t.levels if level.used and level.fixed is not None]
     level = min(used, key=lambda v: abs(v.mean_dn - 0.5 * used[-1].mean_dn))
     assert level.fixed is not None
-    note = "signed; smooth light divided out"
+    note = "smooth light divided out"
     for name, part in (
         ("total", level.fixed.total),
         ("row", level.fixed.row),
         ("column", level.fixed.column),
         ("pixel", level.fixed.pixel),
     ):
-        q = root(part.scaled(1 / level.mean_dn**2, "1"), "1").scaled(100.0, "%")
+        q = root(part.scaled((100 / level.mean_dn) ** 2, "%^2"), "%")
         symbol = "PRNU1288" + ("" if name == "total" else f".{name}")
         yield _row(plane, f"photo-response non-uniformity, {name}", symbol, q, note)
     yield _row(plane, "photo-response non-uniformity, dark pattern removed", "PRNU.pixel.all_levels", t.prnu, "all levels")
@@ -203,12 +197,11 @@ def _dark_rows(darks: Sequence[Capture], roi: Roi | None, result: PhotonTransfer
             ("pixel", level.dsnu_variance),
         ):
             symbol = "DSNU1288" + ("" if name == "total" else f".{name}")
-            yield _row(plane, f"dark signal non-uniformity, {name}", symbol, _ratio(root(part, "DN"), gain, "e-"), "signed")
-        yield _row(plane, "dark current from the mean", "mu_c.mean", _ratio(d.dark_current_dn_per_s, gain, "e-/s"))
+            yield _row(plane, f"dark signal non-uniformity, {name}", symbol, root(part, "DN").over(gain, "e-"))
+        yield _row(plane, "dark current from the mean", "mu_c.mean", d.dark_current_dn_per_s.over(gain, "e-/s"))
         squared = Quantity(gain.value**2, 2 * gain.value * gain.sigma, "DN^2/e-")
-        yield _row(
-            plane, "dark current from the variance", "mu_c.var", _ratio(d.dark_current_variance_dn2_per_s, squared, "e-/s")
-        )
+        by_variance = d.dark_current_variance_dn2_per_s.over(squared, "e-/s")
+        yield _row(plane, "dark current from the variance", "mu_c.var", by_variance)
 
 
 def signal_to_noise(t: PlaneTransfer, electrons: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

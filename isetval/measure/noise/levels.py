@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
+from isetval.core.quantity import Quantity
 from isetval.measure.noise.curve import Points
 from isetval.measure.noise.decomposition import FixedPattern, decompose, fit_surface, robust_sd
-from isetval.measure.noise.linesums import line_sums
+from isetval.measure.noise.linesums import LineSums, line_sums
 from isetval.measure.noise.moments import Moments, central, frame_moments
 from isetval.measure.noise.passes import Passes
-from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.quantized import fit_quantized, unrounded_variance
 from isetval.measure.noise.reference import DarkLevel
 from isetval.measure.noise.statistics import line_scatter, noisy_limit
@@ -163,7 +163,6 @@ def _level(
     spread = max(sums.spread_dn2 - variance / frames, 0.0)
     measured = Quantity(variance, moments.temporal.sigma if moments is not None else sigma, "DN^2")
     exact = _exact_rounding(views, measured, spread, bad)
-    drift = float(np.mean((means - means.mean(axis=0)) ** 2))
     return Level(
         time_s=captures[0].exposure.time_s,
         frames=frames,
@@ -175,7 +174,7 @@ def _level(
         variance_sigma_dn2=exact.sigma,
         rounded=variance < ROUNDED_BELOW_DN2,
         raw_variance_dn2=variance,
-        pooled_variance_dn2=variance * (frames - 1) / frames + sums.spread_dn2 + drift,
+        pooled_variance_dn2=_pooled_variance(sums),
         row_temporal=row,
         frame_scatter=frame,
         clipped_high=sums.clipped_high,
@@ -183,6 +182,18 @@ def _level(
         fixed=_pattern(moments, row) if moments is not None else None,
         captures=tuple(captures),
     )
+
+
+def _pooled_variance(sums: LineSums) -> float:
+    """Unbiased variance of all values of all frames about their one mean, DN^2.
+
+    What a pixel does about its mean (F - 1 of F parts), what mean pixels do about theirs, and what rows do from frame to
+    frame; the row means' own shot noise is in the first already (its degrees of freedom are (F - 1)(w - 1) a row).
+    """
+    frames, values = sums.frames, sums.frames * sums.pixels
+    drift = float(np.mean((sums.row_means - sums.row_means.mean(axis=0)) ** 2))
+    within = sums.variance_dn2 * (frames - 1) / frames * (sums.cols - 1) / sums.cols
+    return (within + drift + sums.spread_dn2) * values / (values - 1)
 
 
 def _exact_rounding(

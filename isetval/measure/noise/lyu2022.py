@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
-from isetval.measure.noise.quantity import Quantity
+from isetval.core.quantity import Quantity
 
 if TYPE_CHECKING:
     from isetval.measure.noise.patches import Patch

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.noise.quantity import Quantity
+from isetval.core.quantity import Quantity
 
 Float = NDArray[np.float64]
 Values = NDArray[Any]

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.noise.quantity import Quantity
+from isetval.core.quantity import Quantity
 
 Float = NDArray[np.float64]
 MAX_PIXELS = 60_000

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
+from isetval.core.quantity import Quantity, root
 from isetval.measure.noise.decomposition import FixedPattern, decompose, robust_sd
 from isetval.measure.noise.linesums import LineSums
 from isetval.measure.noise.moments import Moments, central, frame_moments
-from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.quantized import QuantizedNoise, fit_quantized, quantization_variance
 from isetval.measure.noise.statistics import noisy_limit, row_and_frame_scatter
 
@@ -21,6 +21,11 @@ EXACT_BELOW_DN = 0.75
 UNRELIABLE_BELOW_DN = 0.25
 CLIPPED_SHARE = 1e-3
 MAX_DEFECT_SHARE = 0.02
+
+
+TAG_DIFFERS = "black_level_differs_from_tag"
+LEAST_DIFFERENCE_DN = 0.1  # less changes a gain by under .1 % from 100 DN on
+TAG_SD = 4.0  # four planes and a few times are judged: one false alarm in some thousand
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +105,26 @@ def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, 
         flags.append("read_noise_below_quantization")
     if exact is not None and not exact.converged:
         flags.append("quantized_fit_not_converged")
-    if abs(black.value - tag) > max(0.1, 4 * black.total_sigma):
-        flags.append("black_level_differs_from_tag")
+    if differs_from_tag(_without_dark_current(black, captures, views), tag):
+        flags.append(TAG_DIFFERS)
     if len(views) > 1 and frame.value > max(5 * _null_sigmas(moments, plain.value)[1], 0.01 * max(read.value, 1 / 12)):
         flags.append("dark_drift")
     return DarkLevel(black, read, total, row, frame, dsnu, fixed, moments, exact, defects, clipped, hot, noisy, tuple(flags))
+
+
+def differs_from_tag(black: Quantity, tag_dn: float) -> bool:
+    """Whether a black level (at zero exposure time) is another than the file says."""
+    return abs(black.value - tag_dn) > max(LEAST_DIFFERENCE_DN, TAG_SD * black.total_sigma)
+
+
+def _without_dark_current(black: Quantity, captures: Sequence[Capture], views: Sequence[NDArray[np.uint16]]) -> Quantity:
+    """The black level at zero exposure time, where the frames have times that differ: a line through their means."""
+    time = np.array([c.exposure.time_s or 0.0 for c in captures])
+    if np.unique(time).size < 2:
+        return black
+    means = np.array([float(view.mean(dtype=np.float64)) for view in views])
+    slope = float(np.polyfit(time, means, 1)[0])
+    return Quantity(black.value - slope * float(time.mean()), black.sigma, black.unit, black.shared)
 
 
 def _degree(moments: Moments) -> int:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from isetval.core.capture import Roi
+from isetval.core.quantity import Quantity, root
 from isetval.measure.noise.curve import Response
 from isetval.measure.noise.levels import LevelSeries, with_pattern
-from isetval.measure.noise.quantity import Quantity, root
 from isetval.measure.noise.reference import DarkLevel
 
 
@@ -45,4 +45,4 @@ def prnu_percent(
     common = float(weight @ (np.array([q.shared for q in pattern]) / square))
     from_dark = offset.total_sigma * float(weight @ (1 / square))
     sigma = math.sqrt(float(weight**2 @ (own / square) ** 2) + common**2 + from_dark**2)
-    return root(Quantity(value, sigma, "1"), "1").scaled(100.0, "%")
+    return root(Quantity(value, sigma).scaled(1e4, "%^2"), "%")

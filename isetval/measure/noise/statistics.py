@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
+from isetval.core.quantity import Quantity
 from isetval.measure.noise.codes import code_statistics
 from isetval.measure.noise.decomposition import FixedPattern, decompose
 from isetval.measure.noise.moments import Moments, frame_moments
-from isetval.measure.noise.quantity import Quantity
 
 Float = NDArray[np.float64]
 NAN = float("nan")

@@ -11,13 +11,13 @@ import numpy as np
 
 from isetval.core.capture import Capture, Roi, planes_of
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.quantity import Quantity
 from isetval.measure.noise.curve import Anchor, CurveFit, Points, Response, fit_curve, fit_response
 from isetval.measure.noise.grouping import Groups, group
 from isetval.measure.noise.levels import Level, LevelSeries, cut_series, measure_levels
 from isetval.measure.noise.lyu2022 import single_level_gain
 from isetval.measure.noise.offcurve import chosen, settle
 from isetval.measure.noise.passes import Passes
-from isetval.measure.noise.quantity import Quantity
 from isetval.measure.noise.reference import DarkLevel, dark_level
 from isetval.measure.noise.statistics import PlaneStatistics
 
@@ -110,15 +110,16 @@ class PhotonTransfer(Mapping[str, PlaneTransfer]):
         return {name: plane.choices for name, plane in self.planes.items()}
 
     def to_frame(self) -> pd.DataFrame:
-        """One row a quantity: plane, name, value, sigma, unit, flags."""
+        """One row a quantity: plane, name, value, sigma, unit, flags, note."""
         import pandas as pd
 
         rows = []
         for plane, result in self.planes.items():
             for name, value in vars(result).items():
                 if isinstance(value, Quantity):
-                    rows.append((plane, name, value.value, value.total_sigma, value.unit, " ".join(result.flags)))
-        return pd.DataFrame(rows, columns=["plane", "name", "value", "sigma", "unit", "flags"])
+                    flags = " ".join(result.flags)
+                    rows.append((plane, name, value.value, value.total_sigma, value.unit, flags, value.note))
+        return pd.DataFrame(rows, columns=["plane", "name", "value", "sigma", "unit", "flags", "note"])
 
 
 def photon_transfer(
@@ -321,14 +322,12 @@ def _read_noise_dn(fit: CurveFit, reference: DarkLevel | None) -> Quantity:
 def _in_electrons(noise: Quantity, gain: Quantity, joint: float = 0.0) -> Quantity:
     """Noise over gain; ``joint`` is the covariance of the variance that the noise comes from with the gain, DN^3/e-."""
     value = noise.value / gain.value
-    if not noise.value:
-        return Quantity(value, NAN, "e-")
-    square = (noise.total_sigma / noise.value) ** 2 + (gain.sigma / gain.value) ** 2 - joint / (noise.value**2 * gain.value)
-    return Quantity(value, abs(value) * math.sqrt(max(square, 0.0)), "e-")
+    square = noise.total_sigma**2 + (value * gain.sigma) ** 2 - joint / gain.value
+    return Quantity(value, math.sqrt(max(square, 0.0)) / gain.value, "e-", 0.0, noise.note)
 
 
 def _dsnu_e(reference: DarkLevel | None, gain: Quantity) -> Quantity:
-    from isetval.measure.noise.quantity import root
+    from isetval.core.quantity import root
 
     if reference is None or reference.moments.frames < 2:
         return Quantity(NAN, NAN, "e-")

@@ -6,7 +6,7 @@ from noise_camera import DSNU_E, GAIN, READ_E, NoiseCamera
 
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
-from isetval.measure import dark
+from isetval.measure import dark, photon_transfer
 
 
 def test_level_noise_and_dsnu_of_every_plane():
@@ -103,3 +103,38 @@ def test_one_frame_and_empty_frames():
 def test_the_table_has_units():
     frame = dark(NoiseCamera(np.random.default_rng(50), (32, 32)).shoot(0.0, 2)).to_frame()
     assert set(frame["unit"]) <= {"DN", "DN/s", "DN^2/s"}
+
+
+def test_dark_current_is_not_taken_for_a_wrong_black_tag():
+    camera = NoiseCamera(np.random.default_rng(51), dark_e_per_s=3.0)
+    captures = [c for t in (0.01, 1.0, 4.0) for c in camera.shoot(0.0, 4, time_s=t)]
+    found = dark(captures)["MONO"]
+    assert found.levels[-1][1].black_dn.value - 64 > 1.5  # 3 e-/s for 4 s at .17 DN/e-: 2 DN of dark current
+    assert abs(found.black_level_dn.value - 64) < 4 * found.black_level_dn.total_sigma
+    assert "black_level_differs_from_tag" not in found.flags
+    camera.tag_black = 63
+    wrong = [c for t in (0.01, 1.0, 4.0) for c in camera.shoot(0.0, 4, time_s=t)]
+    assert "black_level_differs_from_tag" in dark(wrong)["MONO"].flags
+
+
+def test_darks_of_several_times_give_photon_transfer_no_wrong_tag_either():
+    camera = NoiseCamera(np.random.default_rng(52), dark_e_per_s=3.0)
+    darks = [c for t in (0.01, 1.0, 4.0) for c in camera.shoot(0.0, 4, time_s=t)]
+    flats = [c for e in (200.0, 800.0, 3000.0) for c in camera.shoot(e, 2, time_s=e * 2e-5)]
+    assert "black_level_differs_from_tag" not in photon_transfer(flats, dark=darks)["MONO"].flags
+
+
+def test_a_noise_that_is_not_there_is_a_limit_in_words_and_never_negative():
+    limits = 0
+    for seed in range(8):
+        found = dark(NoiseCamera(np.random.default_rng(500 + seed), (64, 64), dsnu_e=0.0).shoot(0.0, 4))["MONO"]
+        for name in ("dsnu_dn", "row_fixed_dn", "column_fixed_dn", "row_temporal_noise_dn", "drift_dn"):
+            quantity = getattr(found, name)
+            assert quantity.value >= 0
+            assert (quantity.value == 0) == ("variance -" in quantity.note)
+            if quantity.note:
+                limits += 1
+                assert str(quantity).startswith("below ")
+                # 2.5 (root of the 95 % bound) and the scatter of a hundred lines or more of .5 DN each
+                assert quantity.upper_limit < 2.5 * READ_E * GAIN / np.sqrt(np.sqrt(64 * 3))
+    assert limits > 8  # of 40 differences of variances about half come out negative

@@ -249,6 +249,24 @@ def test_the_published_estimator_through_the_front_door():
     assert "read_noise_and_rounding_left_in" in found.flags
 
 
+def test_the_published_variance_is_that_of_all_values_about_their_mean():
+    """Crops of 10 x 10 in 15 frames: row means of ten pixels hold a tenth of the shot noise, which must not be added again."""
+    gains, electrons = [], 320.7 / GAIN
+    for seed in range(60):
+        camera = NoiseCamera(np.random.default_rng(3200 + seed), (10, 10), prnu=0.0, dsnu_e=0.0, read_e=0.0)
+        frames = camera.shoot(electrons, 15, time_s=0.1)
+        found = photon_transfer(frames, dark=camera.shoot(electrons / 1e4, 2), method="lyu2022")["MONO"]
+        level = found.levels[-1]
+        values = np.stack([frame.mosaic for frame in frames]).astype(float)
+        assert level.pooled_variance_dn2 == pytest.approx(values.var(ddof=1), rel=2e-3)  # light profile of ten columns
+        gains.append(found.gain_dn_per_e.value)
+    # PRNU of 100 pixels is known to a tenth of the noise only; what it takes off is the difference of the two sides
+    expected = GAIN + (1 / 12) / (electrons * GAIN)
+    scatter = np.std(gains) / np.sqrt(60)
+    assert scatter < 0.01 * GAIN
+    assert abs(np.mean(gains) - expected) < 4 * scatter + 0.01 * GAIN
+
+
 def test_wild_pixels_of_a_plane_too_large_for_maps():
     """Defects are looked for in the centre only of such a plane; elsewhere blocks drop what stands out of them."""
     rng = np.random.default_rng(35)
