@@ -16,6 +16,7 @@ METRIC_VERSIONS = {
     "dark": 3,
     "find_edges": 2,
     "flat_fields": 2,
+    "patches": 2,
     "photon_transfer": 3,
     "relative_illumination": 2,
     "sfr": 2,

@@ -12,15 +12,23 @@ from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
 from isetval.core.metric import Block, Metric
-from isetval.measure.color import chart_patches_at, line_profile
-from isetval.measure.conditions import metric, shot_conditions
+from isetval.measure.color import line_profile, patches_over_frames
+from isetval.measure.conditions import metric, shot_conditions, window_label
 
 ROLES = ("chart", "scene")
-LINE_STEPS = 12
+LINE_STEPS = 12  # the paper's six gray patches of a row, twice each
+CLIPPED_SHARE = 0.001  # a tail of noise at white; more moves the mean by more than its sigma
+LEAST_SIGMA_DN = 1e-3  # of noise-free simulations, whose rounding errs by more
+Found = tuple[Metric, str, float]
+"""A row, the name of its pixels, and the fixed part of its sigma in DN."""
 
 
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
-    """Patch means, mean over the frames, and the steps of the target's lines.
+    """Patch means over the frames, and the steps of the target's lines.
+
+    A row's sigma is what falls with the number of frames.  The fixed pattern of the very pixels that were looked at does
+    not: it goes into columns that all shots share which look at them through the same window (two frames or more; one
+    frame cannot tell the two apart, its sigma holds both).
 
     Raises
     ------
@@ -28,58 +36,56 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         If the target has neither patches nor lines.
     """
     conditions = shot_conditions(shot, captures[0].sensor)
-    rows = _patch_rows(shot, captures, conditions)
+    found = _patch_rows(shot, captures, conditions)
     for line in getattr(shot.target, "lines", ()):
-        rows += _line_rows(line, captures, conditions)
-    if not rows:
+        found += _line_rows(line, shot, captures, conditions)
+    if not found:
         raise MeasurementError("its target has no patch and no line to measure; add them to the [target] table")
-    return Block(tuple(rows))
+    shared = {}
+    for i, (_, pattern, fixed_dn) in enumerate(found):
+        if fixed_dn > 0:
+            shared[pattern] = np.zeros(len(found))
+            shared[pattern][i] = fixed_dn
+    return Block(tuple(row for row, _, _ in found), shared=shared)
 
 
-def _patch_rows(shot: Shot, captures: Sequence[Capture], conditions: dict[str, Any]) -> list[Metric]:
+def _patch_rows(shot: Shot, captures: Sequence[Capture], conditions: dict[str, Any]) -> list[Found]:
     patches = getattr(shot.target, "patches", ())
     if not patches:
         return []
     margin = getattr(shot.target, "margin_px", 0)
     boxes = [(r0 + margin, r1 - margin, c0 + margin, c1 - margin) for r0, r1, c0, c1 in (p.box for p in patches)]
-    found = [chart_patches_at(capture, boxes) for capture in captures]
-    mean = np.mean([f.mean_dn for f in found], axis=0)
-    # the fixed pattern of a patch does not average over frames: the sigma of one frame is kept as an upper bound of it
-    sigma = np.sqrt(np.mean([f.sigma_dn**2 for f in found], axis=0) / len(found))
-    clipped = np.mean([f.clipped_pixels / np.maximum(f.pixels + f.clipped_pixels, 1) for f in found], axis=0)
-    family = f"{shot.role}_patch"
-    rows = []
-    for i, patch in enumerate(patches):
-        for j, plane in enumerate(found[0].planes):
-            if clipped[i, j] < 0.001 and math.isfinite(mean[i, j]):
-                rows.append(
-                    metric(
-                        conditions,
-                        "patch_mean",
-                        mean[i, j],
-                        max(sigma[i, j], 1e-3),
-                        "DN",
-                        channel=plane,
-                        patch=patch.name,
-                        family=family,
-                    )
-                )
+    result = patches_over_frames(captures, boxes)
+    more = {"family": f"{shot.role}_patch"}
+    rows: list[Found] = []
+    for i, (patch, box) in enumerate(zip(patches, boxes, strict=True)):
+        for j, plane in enumerate(result.planes):
+            value, sigma = result.mean_dn[i, j], max(result.temporal_sigma_dn[i, j], LEAST_SIGMA_DN)
+            if result.clipped_share[i, j] < CLIPPED_SHARE and math.isfinite(value):
+                row = metric(conditions, "patch_mean", value, sigma, "DN", channel=plane, patch=patch.name, **more)
+                rows.append((row, _pattern(shot, plane, box), float(result.fixed_sigma_dn[i, j])))
     return rows
 
 
+def _pattern(shot: Shot, plane: str, place: Sequence[float]) -> str:
+    """Names the pixels that a number is the mean of: equal names are one draw of the specimen."""
+    return f"pixels:{plane}:{window_label(shot)}:{','.join(f'{v:g}' for v in place)}"
+
+
 def _line_rows(
-    line: tuple[str, float, float, float, float], captures: Sequence[Capture], conditions: dict[str, Any]
-) -> list[Metric]:
+    line: tuple[str, float, float, float, float], shot: Shot, captures: Sequence[Capture], conditions: dict[str, Any]
+) -> list[Found]:
     """A line in ``LINE_STEPS`` steps: mean over the frames and the strip's width."""
     name, row0, col0, row1, col1 = line
     length = math.hypot(row1 - row0, col1 - col0)
     step = max(2.0, length / LINE_STEPS)
-    profiles = [line_profile(c, (row0, col0), (row1, col1), step_px=step) for c in captures]
-    rows = []
-    for plane in [p for p in profiles[0].value_dn if p != "G"]:
-        value = np.mean([p.value_dn[plane] for p in profiles], axis=0)
-        sigma = np.sqrt(np.mean([p.sigma_dn[plane] ** 2 for p in profiles], axis=0) / len(profiles))
-        for k, (v, s) in enumerate(zip(value, sigma, strict=True)):
-            if math.isfinite(v) and math.isfinite(s) and not profiles[0].clipped[k]:
-                rows.append(metric(conditions, "line_profile", v, max(s, 1e-3), "DN", channel=plane, region=f"{name} {k:02d}"))
+    profile = line_profile(captures, (row0, col0), (row1, col1), step_px=step)
+    rows: list[Found] = []
+    for plane in [p for p in profile.value_dn if p != "G"]:
+        sigma, fixed = profile.sigma_dn[plane], profile.fixed_sigma_dn[plane]
+        own = np.sqrt(np.maximum(sigma**2 - fixed**2, LEAST_SIGMA_DN**2))
+        for k, value in enumerate(profile.value_dn[plane]):
+            if math.isfinite(value) and math.isfinite(sigma[k]) and not profile.clipped[k]:
+                row = metric(conditions, "line_profile", value, own[k], "DN", channel=plane, region=f"{name} {k:02d}")
+                rows.append((row, _pattern(shot, plane, (*line[1:], k)), float(fixed[k])))
     return rows

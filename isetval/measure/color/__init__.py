@@ -10,6 +10,7 @@ _NAMES = {
     "chart": "isetval.measure.color.patchchart",
     "chart_patches_at": "isetval.measure.color.patches",
     "line_profile": "isetval.measure.color.profile",
+    "patches_over_frames": "isetval.measure.color.frames",
     "predicted_responses": "isetval.measure.color.crosstalk",
     "spectral_qe": "isetval.measure.color.crosstalk",
 }

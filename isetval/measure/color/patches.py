@@ -85,23 +85,30 @@ def chart_patches_at(capture: Capture, boxes: Sequence[Roi] | ArrayLike) -> Patc
 
 def _plane_columns(capture: Capture, plane: str, boxes: Int) -> tuple[NDArray[np.generic], ...]:
     """The seven columns of PatchRows for one plane, patches of equal size together."""
-    view, first, step = plane_view(capture, plane)
-    tops, lefts = -((first[0] - boxes[:, 0]) // step), -((first[1] - boxes[:, 2]) // step)
-    heights = -((first[0] - boxes[:, 1]) // step) - tops
-    widths = -((first[1] - boxes[:, 3]) // step) - lefts
     black, white = plane_black_dn(capture, plane), capture.sensor.white_dn
     out: list[NDArray[np.generic]] = [np.zeros(len(boxes), dtype=t) for t in (float,) * 4 + (np.int64,) * 3]
-    sizes = heights * 1_000_000 + widths
-    for size in np.unique(sizes):
-        rows = np.flatnonzero(sizes == size)
-        h, w = int(heights[rows[0]]), int(widths[rows[0]])
-        stack = np.stack([view[t : t + h, c : c + w] for t, c in zip(tops[rows], lefts[rows], strict=True)])
+    for rows, stack in equal_crops(capture, plane, boxes):
         for column, values in zip(out, patch_statistics(stack, black_dn=black, white_dn=white), strict=True):
             column[rows] = values
     return tuple(out)
 
 
-def difference_variance(values: Float, mask: Bool | None = None) -> Float:
+def equal_crops(capture: Capture, plane: str, boxes: Int) -> list[tuple[NDArray[np.intp], NDArray[np.uint16]]]:
+    """Numbers of the patches of one size, and their raw pixels (patches, rows, cols); one entry a size."""
+    view, first, step = plane_view(capture, plane)
+    tops, lefts = -((first[0] - boxes[:, 0]) // step), -((first[1] - boxes[:, 2]) // step)
+    heights = -((first[0] - boxes[:, 1]) // step) - tops
+    widths = -((first[1] - boxes[:, 3]) // step) - lefts
+    sizes = heights * 1_000_000 + widths
+    out = []
+    for size in np.unique(sizes):
+        rows = np.flatnonzero(sizes == size)
+        h, w = int(heights[rows[0]]), int(widths[rows[0]])
+        out.append((rows, np.stack([view[t : t + h, c : c + w] for t, c in zip(tops[rows], lefts[rows], strict=True)])))
+    return out
+
+
+def difference_variance(values: Float, mask: Bool | None = None, *, least: float = LEAST_VARIANCE) -> Float:
     """Half the mean square of row and column neighbour differences, cut at 4 robust sigma, (patches,).
 
     Parameters
@@ -109,6 +116,8 @@ def difference_variance(values: Float, mask: Bool | None = None) -> Float:
     values : (patches, rows, cols)
     mask : (patches, rows, cols), optional
         Pixels to use; both neighbours must be.
+    least : float
+        Lower bound; by default the variance of rounding to whole DN.
     """
     across, down = values[:, :, 1:] - values[:, :, :-1], values[:, 1:] - values[:, :-1]
     both = np.concatenate([across.reshape(len(values), -1), down.reshape(len(values), -1)], axis=1)
@@ -116,7 +125,7 @@ def difference_variance(values: Float, mask: Bool | None = None) -> Float:
         pairs = (mask[:, :, 1:] & mask[:, :, :-1]).reshape(len(values), -1), (mask[:, 1:] & mask[:, :-1]).reshape(len(values), -1)
         both = np.where(np.concatenate(pairs, axis=1), both, np.nan)
         if not np.isfinite(both).any(axis=1).all():
-            return np.full(len(values), LEAST_VARIANCE)
+            return np.full(len(values), least)
     square = both**2
     mean = np.mean if mask is None else np.nanmean
     plain = mean(square, axis=1)
@@ -125,7 +134,7 @@ def difference_variance(values: Float, mask: Bool | None = None) -> Float:
     # without a far difference the cut would change nothing
     for k in np.flatnonzero(highest > CUT_SIGMAS**2 * plain):
         half[k] = _cut_variance(square[k], float(plain[k]))
-    return np.asarray(np.maximum(half, LEAST_VARIANCE))
+    return np.asarray(np.maximum(half, least))
 
 
 def _cut_variance(square: Float, plain: float) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,8 @@ from isetval.core.errors import InputError, MeasurementError
 Float = NDArray[np.float64]
 Pair = tuple[float, float]
 RATIOS = (("G/R", "G", "R"), ("B/G", "B", "G"), ("B/R", "B", "R"))
+POOLED_BINS = 9  # noise is slow along a line: with 4 pixels a bin, 9 bins fix its variance to about 25 %
+ROUNDING_VARIANCE = 1 / 12  # of whole DN
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,9 @@ class LineProfile:
         ``G/R``, ``B/G``, ``B/R`` with black removed; NaN where the divisor is below 3 sigma.
     clipped : (bins,)
         Whether a bin holds clipped pixels.
+    fixed_sigma_dn : mapping of plane to (bins,)
+        The part of ``sigma_dn`` that is the pixels' fixed pattern and stays however many frames are averaged;
+        0 for one frame, which cannot tell it from noise.
     """
 
     position_px: Float
@@ -66,18 +72,42 @@ class LineProfile:
     segments: tuple[ProfileSegment, ...] = ()
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    fixed_sigma_dn: Mapping[str, Float] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class _Strip:
+    """Pixels of a plane near the line, summed over the frames.
+
+    ``image`` holds the plane about the line, ``inside`` which of its pixels belong, ``along_px`` and ``bin`` where those
+    lie; ``first`` and ``second`` are sums over the frames of their values and squares, less the bin's mean in that frame.
+    """
+
+    along_px: Float
+    bin: NDArray[np.intp]
+    inside: NDArray[np.bool_]
+    image: Float
+    clipped: NDArray[np.bool_]
+    first: Float
+    second: Float
+    frames: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class _Pixels:
+    """Pixels of a plane near the line: mean over the frames, spatial variance of it, temporal variance of one frame."""
+
     along_px: Float
+    bin: NDArray[np.intp]
     value_dn: Float
     variance_dn2: Float
     clipped: NDArray[np.bool_]
+    frames: int
+    frame_variance_dn2: Float
 
 
 def line_profile(
-    capture: Capture,
+    capture: Capture | Iterable[Capture],
     start: Pair | None = None,
     end: Pair | None = None,
     *,
@@ -92,7 +122,8 @@ def line_profile(
 
     Parameters
     ----------
-    capture : Capture
+    capture : Capture or iterable of Capture
+        One frame, or frames of one set-up, which are averaged; gone through once, one in memory at a time.
     start, end : (row, col), optional
         Ends of the line in pixels of the capture.
     width_px : float
@@ -116,7 +147,11 @@ def line_profile(
     InputError
         When the line leaves the capture, is too short, or nothing was given.
     """
-    first, last, width = _ends(capture, start, end, width_px=width_px, box=box, axis=axis)
+    frames = iter((capture,) if isinstance(capture, Capture) else capture)
+    one = next(frames, None)
+    if one is None:
+        raise InputError("no captures were given; a line needs at least one frame")
+    first, last, width = _ends(one, start, end, width_px=width_px, box=box, axis=axis)
     length = float(np.hypot(*(last - first)))
     if not (step_px > 0 and width > 0 and length >= 2 * step_px):
         raise InputError(
@@ -124,24 +159,27 @@ def line_profile(
         )
     edges = np.arange(0, length + 1e-9, step_px)
     middle = (edges[:-1] + edges[1:]) / 2
-    strips = {p: _strip(capture, p, first, last, width) for p in planes_of(capture)}
-    values, sigmas, pixels = {}, {}, {}
+    strips = _strips(itertools.chain((one,), frames), first, last, width=width, edges=edges)
+    values, sigmas, fixed, pixels = {}, {}, {}, {}
     clipped = np.zeros(middle.size, dtype=bool)
     for plane, strip in strips.items():
-        values[plane], sigmas[plane], pixels[plane], flags = _bins(strip, edges)
-        clipped |= flags
+        values[plane], sigmas[plane], pixels[plane] = _bins(strip, edges)
+        fixed[plane] = _fixed_sigma(strip, sigmas[plane])
+        clipped |= np.bincount(strip.bin, strip.clipped.astype(float), minlength=middle.size) > 0
     if "Gr" in values:
         values["G"], sigmas["G"] = _green(values, sigmas)
+        fixed["G"] = _green(values, fixed)[1]
     ratio, ratio_sigma = _ratios(values, sigmas, black_sigma_dn)
     direction = (last - first) / length
     warnings = [f"{int(clipped.sum())} of {clipped.size} bins hold clipped pixels"] if clipped.any() else []
     return LineProfile(
         position_px=middle,
-        position_um=middle * capture.sensor.pixel_um,
+        position_um=middle * one.sensor.pixel_um,
         row_px=first[0] + direction[0] * middle,
         col_px=first[1] + direction[1] * middle,
         value_dn=values,
         sigma_dn=sigmas,
+        fixed_sigma_dn=fixed,
         pixels=pixels,
         ratio=ratio,
         ratio_sigma=ratio_sigma,
@@ -177,29 +215,82 @@ def _ends(
     return first, last, float(width_px)
 
 
-def _strip(capture: Capture, plane: str, first: Float, last: Float, width: float) -> _Pixels:
-    """Pixels of a plane within half the width of the line, with the noise variance of each."""
+def _strips(frames: Iterable[Capture], first: Float, last: Float, *, width: float, edges: Float) -> dict[str, _Pixels]:
+    """Pixels of every plane within half the width of the line, over all frames."""
+    sums: dict[str, _Strip] = {}
+    shape = None
+    for capture in frames:
+        shape = shape or capture.mosaic.shape
+        if capture.mosaic.shape != shape:
+            raise InputError(f"frames of {shape} and {capture.mosaic.shape} pixels; a line needs frames of one window")
+        for plane in planes_of(capture):
+            _add_frame(sums, capture, plane, first, last, width=width, edges=edges)
+    direction = (last - first) / np.hypot(*(last - first))
+    return {plane: _averaged(strip, direction) for plane, strip in sums.items()}
+
+
+def _add_frame(
+    sums: dict[str, _Strip], capture: Capture, plane: str, first: Float, last: Float, *, width: float, edges: Float
+) -> None:
     rows, cols = capture.mosaic.shape
     low = np.floor(np.minimum(first, last) - width).astype(int)
     high = np.ceil(np.maximum(first, last) + width).astype(int) + 1
     box = (max(low[0], 0), min(high[0], rows), max(low[1], 0), min(high[1], cols))
     view, origin, step = plane_view(capture, plane, box)
+    if plane not in sums:
+        sums[plane] = _empty_strip(view.shape, origin, step, first, last, width=width, edges=edges, plane=plane)
+    strip = sums[plane]
+    raw = view[strip.inside]
+    count = np.maximum(np.bincount(strip.bin), 1)
+    values = raw - (np.bincount(strip.bin, raw) / count)[strip.bin]
+    strip.image += view - plane_black_dn(capture, plane)
+    strip.clipped |= (raw >= capture.sensor.white_dn) | (raw == 0)
+    strip.first += values
+    strip.second += values**2
+    strip.frames += 1
+
+
+def _empty_strip(
+    shape: tuple[int, ...],
+    origin: tuple[int, int],
+    step: int,
+    first: Float,
+    last: Float,
+    *,
+    width: float,
+    edges: Float,
+    plane: str,
+) -> _Strip:
+    """Which pixels of a plane's view lie within half the width of the line, and in which bin."""
     length = float(np.hypot(*(last - first)))
     direction = (last - first) / length
-    row = origin[0] + step * np.arange(view.shape[0])[:, None] - first[0]
-    col = origin[1] + step * np.arange(view.shape[1])[None, :] - first[1]
+    row = origin[0] + step * np.arange(shape[0])[:, None] - first[0]
+    col = origin[1] + step * np.arange(shape[1])[None, :] - first[1]
     along = row * direction[0] + col * direction[1]
     across = np.abs(col * direction[0] - row * direction[1])
     inside = (along >= 0) & (along < length) & (across <= width / 2)
     if not inside.any():
         raise MeasurementError(f"the strip of {width} px holds no pixel of plane {plane}: widen it to at least 2 px")
-    raw = view[inside]
-    values = view.astype(np.float64)
+    place = along[inside]
+    index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, edges.size - 2)
+    clipped = np.zeros(place.size, dtype=bool)
+    return _Strip(place, index, inside, np.zeros(shape), clipped, np.zeros(place.size), np.zeros(place.size))
+
+
+def _averaged(strip: _Strip, direction: Float) -> _Pixels:
+    image = strip.image / strip.frames
+    per_bin = np.bincount(strip.bin)[strip.bin]
+    # each bin's own mean takes one degree of freedom; a single frame tells nothing
+    scatter = strip.second - strip.first**2 / strip.frames
+    frame_variance = scatter / max(strip.frames - 1, 1) * per_bin / np.maximum(per_bin - 1, 1)
     return _Pixels(
-        along[inside],
-        raw - plane_black_dn(capture, plane),
-        _local_variance(values, direction)[inside],
-        np.asarray((raw >= capture.sensor.white_dn) | (raw == 0)),
+        strip.along_px,
+        strip.bin,
+        image[strip.inside],
+        _local_variance(image, direction)[strip.inside],
+        strip.clipped,
+        strip.frames,
+        frame_variance,
     )
 
 
@@ -216,17 +307,13 @@ def _local_variance(values: Float, direction: Float) -> Float:
     return np.asarray((before + after) / 2)
 
 
-def _bins(strip: _Pixels, edges: Float) -> tuple[Float, Float, NDArray[np.int64], NDArray[np.bool_]]:
-    """Mean at each bin's middle, its sigma, pixels and clipping; noise smoothed over 9 bins."""
+def _bins(strip: _Pixels, edges: Float) -> tuple[Float, Float, NDArray[np.int64]]:
+    """Mean at each bin's middle, its sigma and pixels."""
     count = edges.size - 1
-    index = np.clip(np.searchsorted(edges, strip.along_px, side="right") - 1, 0, count - 1)
-    pixels = np.bincount(index, minlength=count)
+    pixels = np.bincount(strip.bin, minlength=count)
     safe = np.maximum(pixels, 1)
-    mean = np.bincount(index, strip.value_dn, minlength=count) / safe
-    place = np.bincount(index, strip.along_px, minlength=count) / safe
-    noise = np.bincount(index, strip.variance_dn2, minlength=count)
-    window = np.ones(9)
-    pooled = np.convolve(noise, window, mode="same") / np.maximum(np.convolve(pixels, window, mode="same"), 1)
+    mean = np.bincount(strip.bin, strip.value_dn, minlength=count) / safe
+    place = np.bincount(strip.bin, strip.along_px, minlength=count) / safe
     filled = pixels > 0
     middle = (edges[:-1] + edges[1:]) / 2
     value = np.full(count, np.nan)
@@ -236,10 +323,33 @@ def _bins(strip: _Pixels, edges: Float) -> tuple[Float, Float, NDArray[np.int64]
         value[filled] = (mean + slope * (middle - place))[filled]
     else:
         value[filled] = mean[filled]
-    floor = 1 / 12
-    sigma = np.where(filled, np.sqrt(np.maximum(pooled, floor) / safe), np.nan)
-    flags = np.bincount(index, strip.clipped.astype(float), minlength=count) > 0
-    return value, sigma, pixels.astype(np.int64), flags
+    least = _least_variance(strip, count)
+    sigma = np.where(filled, np.sqrt(np.maximum(_pooled(strip.bin, strip.variance_dn2, count), least) / safe), np.nan)
+    return value, sigma, pixels.astype(np.int64)
+
+
+def _pooled(index: NDArray[np.intp], variance: Float, count: int) -> Float:
+    """Mean of the pixels' variances about each bin, over ``POOLED_BINS`` bins."""
+    window = np.ones(POOLED_BINS)
+    pixels = np.convolve(np.bincount(index, minlength=count), window, mode="same")
+    return np.asarray(np.convolve(np.bincount(index, variance, minlength=count), window, mode="same") / np.maximum(pixels, 1))
+
+
+def _least_variance(strip: _Pixels, count: int) -> Float:
+    """Rounding's share of the variance of the mean: noise of a frame beyond it makes it as random as itself."""
+    if strip.frames == 1:
+        return np.full(count, ROUNDING_VARIANCE)
+    temporal = _pooled(strip.bin, strip.frame_variance_dn2, count)
+    return np.asarray(np.maximum(ROUNDING_VARIANCE - temporal, 0) + temporal / strip.frames)
+
+
+def _fixed_sigma(strip: _Pixels, sigma: Float) -> Float:
+    """What remains of the bins' sigma when the temporal noise of all frames is taken off."""
+    if strip.frames == 1:
+        return np.zeros_like(sigma)
+    pixels = np.maximum(np.bincount(strip.bin, minlength=sigma.size), 1)
+    temporal = _pooled(strip.bin, strip.frame_variance_dn2, sigma.size) / (strip.frames * pixels)
+    return np.asarray(np.sqrt(np.maximum(sigma**2 - temporal, 0)))
 
 
 def _steady(mean: Float, place: Float, filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -289,9 +399,10 @@ def _segment(strips: Mapping[str, _Pixels], segment: tuple[str, float, float], b
                 f"segment {name!r} from {start} to {end} px holds {count} pixels of plane {plane}; it needs at least 4"
             )
         place = strip.along_px[inside] - (start + end) / 2
+        least = ROUNDING_VARIANCE / strip.frames
         fit = np.linalg.lstsq(np.stack([np.ones(count), place], axis=1), strip.value_dn[inside], rcond=None)[0]
         mean[plane], slope[plane] = float(fit[0]), float(fit[1])
-        sigma[plane] = float(np.sqrt(max(float(strip.variance_dn2[inside].mean()), 1 / 12) / count))
+        sigma[plane] = float(np.sqrt(max(float(strip.variance_dn2[inside].mean()), least) / count))
     if "Gr" in mean:
         mean["G"], sigma["G"] = (mean["Gr"] + mean["Gb"]) / 2, float(np.hypot(sigma["Gr"], sigma["Gb"])) / 2
         slope["G"] = (slope["Gr"] + slope["Gb"]) / 2
