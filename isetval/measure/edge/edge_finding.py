@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, black_image_dn, plane_view
 from isetval.core.errors import InputError
+from isetval.core.threads import one_blas_thread
 from isetval.measure.edge.contours import Segment, find_segments
 from isetval.measure.edge.measure_regions import sfr
 from isetval.measure.edge.samples import MIN_SIDE_PX, check_channel
@@ -76,6 +77,7 @@ class FoundEdges(list[EdgeRoi]):
         self.rejected: list[RejectedEdge] = list(rejected)
 
 
+@one_blas_thread()
 def find_edges(capture: Capture, channel: str = "G") -> FoundEdges:
     """Find the slanted edges of squares, bars and blades.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError
+from isetval.core.threads import one_blas_thread
 from isetval.measure.edge.alternating_fit import FittedEdges, checked_choices, measure_edges
 from isetval.measure.edge.first_look import FirstLooks, first_look, first_width, prospects
 from isetval.measure.edge.geometry import Stack, same_grid, stacked
@@ -72,6 +73,7 @@ def sfr(
     return sfr_batch(capture, [roi], channel, method=method, choices=choices, oecf=oecf)[0]
 
 
+@one_blas_thread()
 def sfr_batch(
     captures: Capture | Sequence[Capture],
     rois: Sequence[Roi | None],

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.capture import Roi
 from isetval.core.errors import MeasurementError
+from isetval.core.threads import one_blas_thread
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.esf_fit import EsfFit
 
@@ -129,6 +130,7 @@ class SfrResult:
         return self._curves[2]
 
     @cached_property
+    @one_blas_thread()
     def mtf_sigma(self) -> Float:
         """Standard deviation of ``mtf`` at every frequency, (n,)."""
         if self.fit is None or self.flags:
@@ -170,6 +172,7 @@ class SfrResult:
             return np.asarray(np.interp(f, self.frequency_cy_px, self.mtf))
         return spectrum.mtf_of(self.fit, f)
 
+    @one_blas_thread()
     def mtf_covariance(self, frequency_cy_px: ArrayLike | None = None, *, kind: str = "posterior") -> Float:
         """Covariance of the SFR at ``frequency_cy_px``, (n, n).
 
