@@ -8,7 +8,8 @@ import pytest
 
 import isetval
 from isetval.app.cli import main
-from isetval.app.demo import HIDDEN, draw_hidden, run_demo
+from isetval.app.demo import HIDDEN, OwnFiles, draw_hidden, run_demo
+from isetval.core.hashing import file_hash
 from isetval.core.paths import data_folder
 
 SMALL = (1464, 1968, 48, 48)
@@ -79,6 +80,9 @@ def test_the_loop_finds_what_is_hidden_and_the_error_falls(plan, tmp_path):
     assert json.loads((tmp_path / "demo" / "diagnosis.json").read_text())["verdict"] == result["diagnosis"]["verdict"]
     assert isetval.load_model(tmp_path / "demo" / f"{result['added']}.toml").effect(named[0]["name"]) is not None
     assert len(list((tmp_path / "demo" / "captures").glob("*.dng"))) == sum(s.frames for s in _small(plan).shots)
+    assert {*json.loads((tmp_path / "demo" / "demo.json").read_text())["files"], "demo.json"} == {*_files(tmp_path / "demo")}
+    OwnFiles(tmp_path / "demo").make_room()
+    assert [p.name for p in (tmp_path / "demo").iterdir()] == ["demo.json"]
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path, capsys):
@@ -87,6 +91,56 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path, capsys):
     assert main(["demo", "-o", str(tmp_path / "mine")]) == 3
     assert "another folder" in capsys.readouterr().err
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
+
+
+def _files(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def _left_by_a_demo(folder):
+    """What an earlier run wrote: two files, listed with their hashes."""
+    (folder / "captures").mkdir(parents=True)
+    (folder / "captures" / "flat_00.dng").write_bytes(b"pixels")
+    (folder / "nominal.toml").write_text("name = 'x'")
+    own = OwnFiles(folder)
+    own.note(folder / "captures", folder / "nominal.toml")
+    return folder
+
+
+def test_what_an_earlier_demo_wrote_is_replaced(tmp_path):
+    folder = _left_by_a_demo(tmp_path / "demo")
+    OwnFiles(folder).make_room()
+    assert [p.name for p in folder.iterdir()] == ["demo.json"]
+    assert json.loads((folder / "demo.json").read_text())["files"] == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("captures/mine.dng", "years of work"), ("nominal.toml", "name = 'edited'"), ("demo.json", "{}"), ("demo.json", "[1]")],
+    ids=["unknown", "changed", "no list", "no object"],
+)
+def test_one_foreign_file_keeps_the_whole_folder(tmp_path, capsys, name, content):
+    folder = _left_by_a_demo(tmp_path / "demo")
+    (folder / name).write_text(content)
+    before = _files(folder)
+    assert main(["demo", "-o", str(folder)]) == 3
+    said = capsys.readouterr().err
+    assert str(folder) in said
+    assert name == "demo.json" or name in said
+    assert _files(folder) == before
+
+
+def test_a_list_that_names_files_elsewhere_deletes_none(tmp_path, capsys):
+    folder = _left_by_a_demo(tmp_path / "demo")
+    outside = tmp_path / "outside.txt"
+    outside.write_text("x")
+    listed = json.loads((folder / "demo.json").read_text())
+    listed["files"]["../outside.txt"] = file_hash(outside)
+    (folder / "demo.json").write_text(json.dumps(listed))
+    before = _files(folder)
+    assert main(["demo", "-o", str(folder)]) == 3
+    assert outside.exists()
+    assert _files(folder) == before
 
 
 @pytest.mark.slow

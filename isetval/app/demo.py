@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -13,8 +13,9 @@ import numpy as np
 
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
+from isetval.core.hashing import file_hash
 from isetval.core.jsonable import plain
-from isetval.core.paths import data_folder
+from isetval.core.paths import data_folder, inside
 from isetval.core.writing import write_whole
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def run_demo(
     seed : int
         Draws the hidden effect, its strength and the laboratory's errors.
     folder : path
-        New, empty, or left by an earlier demo.
+        New, empty, or holding nothing but what an earlier demo wrote there.
     jobs : int
         Worker processes.
     step, say : callable, optional
@@ -94,14 +95,16 @@ def run_demo(
     began = time.perf_counter()
     if seed < 0:
         raise InputError(f"seed is {seed}; it needs 0 or more")
-    _make_room(folder)
+    own = OwnFiles(folder)
+    own.make_room()
     nominal = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
     plan = plan or isetval.load_campaign(data_folder() / "demo" / "plan.toml")
     hidden = draw_hidden(nominal, seed)
     step(f"1  shooting {len(plan.shots)} set-ups with a camera in which one effect is hidden (seed {seed})")
     campaign = _shoot(nominal.with_effect(hidden), plan, seed, folder)
     nominal.save(folder / "nominal.toml")
-    before, diagnosis, after, model = _loop(nominal, campaign, folder, jobs, step, say)
+    own.note(folder / "captures", folder / "nominal.toml")
+    before, diagnosis, after, model = _loop(nominal, campaign, own, jobs, step, say)
     result = {
         "kind": "demo",
         "seed": seed,
@@ -115,24 +118,81 @@ def run_demo(
         "added": model.name if model is not nominal else None,
     }
     step("6  drawing the report")
-    return _finish(plain(result), folder, began)
+    return _finish(plain(result), own, began)
 
 
 def _silent(_: str) -> None:
     return None
 
 
-def _make_room(folder: Path) -> None:
-    """An empty folder; what an earlier demo left is replaced, anything else is refused."""
-    try:
-        if folder.is_dir() and any(folder.iterdir()):
-            if not (folder / MARKER).is_file():
-                raise InputError(f"{folder}: holds other things than an earlier demo; name another folder with -o")
-            shutil.rmtree(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / MARKER, "{}\n")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder with -o") from None
+class OwnFiles:
+    """The files that a demo wrote into its folder, each with its SHA-256, listed in ``demo.json`` as they are written.
+
+    A later demo replaces these and no others: a file that is not listed, or was changed since, keeps the whole folder as it is.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.files: dict[str, str] = {}
+
+    def make_room(self) -> None:
+        """An empty folder; what an earlier demo left is deleted.
+
+        Raises
+        ------
+        InputError
+            If the folder holds anything else (nothing is deleted then), or cannot be written.
+        """
+        try:
+            if self.folder.is_dir() and any(self.folder.iterdir()):
+                self._delete_earlier()
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self.note()
+        except OSError as error:
+            raise InputError(f"{self.folder}: cannot be written ({error.strerror}); name another folder with -o") from None
+
+    def note(self, *paths: Path) -> None:
+        """List files (of a folder: all in it) that were just written."""
+        for path in paths:
+            for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+                if file.is_file():
+                    self.files[file.relative_to(self.folder).as_posix()] = file_hash(file)
+        self.finish({"kind": "demo"})
+
+    def finish(self, result: Mapping[str, Any]) -> None:
+        """Write ``demo.json``: the result, and the list."""
+        write_whole(self.folder / MARKER, json.dumps({**result, "files": self.files}, indent=1, allow_nan=False) + "\n")
+
+    def _delete_earlier(self) -> None:
+        listed = self._listed()
+        found = [path for path in self.folder.rglob("*") if path.is_symlink() or not path.is_dir()]
+        strange = [p for p in found if p != self.folder / MARKER and not _is_listed(p, listed)]
+        if strange:
+            others = f" and {len(strange) - 1} others" if len(strange) > 1 else ""
+            raise InputError(
+                f"{strange[0]}{others}: not written by an earlier demo, or changed since; nothing was deleted: "
+                "move it away, or name another folder with -o"
+            )
+        for path in found:
+            path.unlink()
+        for path in sorted({p for file in listed for p in file.parents if p.is_dir()}, key=lambda p: -len(p.parts)):
+            if path.resolve() != self.folder.resolve() and path.is_relative_to(self.folder) and not any(path.iterdir()):
+                path.rmdir()
+
+    def _listed(self) -> dict[Path, str]:
+        """What ``demo.json`` lists; empty where it is no list of a demo."""
+        try:
+            content = json.loads((self.folder / MARKER).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            content = None
+        files = content.get("files") if isinstance(content, dict) and content.get("kind") == "demo" else None
+        if not isinstance(files, dict):
+            raise InputError(f"{self.folder}: holds other things than an earlier demo; name another folder with -o")
+        return {inside(self.folder, name): str(digest) for name, digest in files.items()}
+
+
+def _is_listed(path: Path, listed: Mapping[Path, str]) -> bool:
+    return path.is_file() and not path.is_symlink() and listed.get(path) == file_hash(path)
 
 
 def _shoot(camera: CameraModel, plan: Campaign, seed: int, folder: Path) -> Campaign:
@@ -147,7 +207,7 @@ def _shoot(camera: CameraModel, plan: Campaign, seed: int, folder: Path) -> Camp
 
 
 def _loop(
-    nominal: CameraModel, campaign: Campaign, folder: Path, jobs: int, step: Say, say: Say
+    nominal: CameraModel, campaign: Campaign, own: OwnFiles, jobs: int, step: Say, say: Say
 ) -> tuple[Comparison, Diagnosis, Comparison, CameraModel]:
     import isetval
     from isetval.loop.comparison import comparison_of, prepare
@@ -158,28 +218,30 @@ def _loop(
         before = comparison_of(held, [nominal])
         step("3  diagnosing on the first session: which effect is missing?")
         diagnosis = isetval.diagnose(nominal, campaign.session(first), held, jobs=jobs, say=say)
-        model = _add(nominal, diagnosis, campaign, folder, step)
+        model = _add(nominal, diagnosis, campaign, own, step)
         step("5  comparing again, on captures that nothing was fitted to")
         after = comparison_of(held, [nominal] if model is nominal else [nominal, model])
     return before, diagnosis, after, model
 
 
-def _add(nominal: CameraModel, diagnosis: Diagnosis, campaign: Campaign, folder: Path, step: Say) -> CameraModel:
-    import json
-
+def _add(nominal: CameraModel, diagnosis: Diagnosis, campaign: Campaign, own: OwnFiles, step: Say) -> CameraModel:
     import isetval
     from isetval.loop.adding import add_effect, from_diagnosis
 
+    folder = own.folder
     file = folder / "diagnosis.json"
     written = {"kind": "diagnose", "model": nominal.name, "model_sha256": nominal.digest(), "campaign": campaign.name}
     write_whole(file, json.dumps(plain(written | diagnosis.to_json()), indent=1) + "\n")
+    own.note(file)
     model: CameraModel = isetval.load_model(folder / "nominal.toml")
     if not diagnosis.effects:
         step(f"4  nothing is added: the verdict is {diagnosis.verdict}")
         return nominal
     for effect in diagnosis.effects:
         step(f"4  adding {effect.name} to the model file")
-        model = add_effect(model, from_diagnosis(effect.name, file), output=folder / f"nominal+{effect.name}.toml")
+        output = folder / f"nominal+{effect.name}.toml"
+        model = add_effect(model, from_diagnosis(effect.name, file), output=output)
+        own.note(output)
     return model
 
 
@@ -194,15 +256,14 @@ def _hidden_entry(hidden: Effect, nominal: CameraModel) -> dict[str, Any]:
     return {"name": hidden.name, "parameters": parameters}
 
 
-def _finish(result: dict[str, Any], folder: Path, began: float) -> dict[str, Any]:
-    import json
-
+def _finish(result: dict[str, Any], own: OwnFiles, began: float) -> dict[str, Any]:
     from isetval.app.report import write_report
 
     result["seconds"] = time.perf_counter() - began
     result["peak_memory_mb"] = _peak_memory_mb()
-    write_report([result], folder / "report.html")
-    write_whole(folder / MARKER, json.dumps(result, indent=1, allow_nan=False) + "\n")
+    write_report([result], own.folder / "report.html")
+    own.note(own.folder / "report.html")
+    own.finish(result)
     return result
 
 

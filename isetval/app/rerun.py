@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from isetval.app.provenance import versions
 from isetval.core.errors import InputError
-from isetval.core.hashing import file_hash
 
 AGAIN = ("measure", "compare", "identify", "diagnose", "effects", "lens")
+"""Commands that make numbers and write nothing but the result that -o names."""
 MAX_LISTED = 20
-Run = Callable[[list[str]], int]
+Run = Callable[[], tuple[Mapping[str, Any], Mapping[str, str]]]
 
 
 @dataclass(frozen=True)
@@ -56,56 +52,54 @@ def _percent(moved: Moved) -> str:
     return f" ({100 * (moved.now / moved.before - 1):+.3g} %)"
 
 
-def rerun_result(result: Mapping[str, Any], run: Run, *, rtol: float = 1e-9) -> Rerun:
-    """Run the command of ``result`` again with ``run``, the command line's main function.
+def command_of(result: Mapping[str, Any]) -> list[str]:
+    """The words behind ``isetval`` that made a result.
 
     Raises
     ------
     InputError
-        If the result does not say which command made it, that command makes no numbers, or it fails now.
+        If the result does not say which command made it, or that command makes no numbers.
     """
     made = result.get("provenance")
     if not isinstance(made, Mapping) or not isinstance(made.get("command"), list) or len(made["command"]) < 2:
         raise InputError(
             "the result does not say which command made it (no provenance); only results written with -o can be rerun"
         )
-    command = [str(word) for word in made["command"]]
-    if command[1] not in AGAIN:
-        raise InputError(f"the result was made by 'isetval {command[1]}'; only {', '.join(AGAIN)} can be run again")
-    again = _run(run, _without_output(command[1:]))
-    before, now = (_leaves({k: v for k, v in r.items() if k != "provenance"}) for r in (result, again))
-    old, new = dict(before), dict(now)
-    moved = [
-        Moved(place, old.get(place), new.get(place))
-        for place in {**old, **new}
-        if not _same(old.get(place), new.get(place), rtol)
-    ]
+    words = [str(word) for word in made["command"][1:]]
+    if words[0] not in AGAIN:
+        raise InputError(f"the result was made by 'isetval {words[0]}'; only {', '.join(AGAIN)} can be run again")
+    return words
+
+
+def rerun_result(result: Mapping[str, Any], run: Run, *, rtol: float = 1e-9) -> Rerun:
+    """Run the command of ``result`` again and compare.
+
+    Parameters
+    ----------
+    result : mapping
+        As read from a file that ``-o`` wrote.
+    run : callable
+        Runs the command of `command_of` and gives its result and the SHA-256 of its inputs.
+    rtol : float
+        Largest relative difference of equal numbers.
+
+    Raises
+    ------
+    InputError
+        As `command_of`, or if the command fails now.
+    """
+    words = command_of(result)
+    try:
+        again, inputs = run()
+    except InputError as error:
+        raise InputError(f"the command failed now: {error}") from None
+    old, new = (dict(_leaves({k: v for k, v in r.items() if k != "provenance"})) for r in (result, again))
+    places = {**old, **new}
+    moved = [Moved(place, old.get(place), new.get(place)) for place in places if not _same(old.get(place), new.get(place), rtol)]
+    made = result["provenance"]
     was = made.get("versions", {})
     changed = {name: (str(was[name]), v) for name, v in versions().items() if name in was and was[name] != v}
-    return Rerun(tuple(command), tuple(moved), len({**old, **new}), _changed_inputs(made.get("inputs", {})), changed)
-
-
-def _without_output(words: list[str]) -> list[str]:
-    """The command with ``--json`` and without ``-o``."""
-    out, skip = [], False
-    for word in words:
-        if skip:
-            skip = False
-        elif word in ("-o", "--output"):
-            skip = True
-        elif word not in ("--json", "-q", "--quiet", "-v", "--verbose") and not word.startswith("--output="):
-            out.append(word)
-    return [*out, "--json", "--quiet"]
-
-
-def _run(run: Run, words: list[str]) -> dict[str, Any]:
-    stdout, stderr = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
-        code = run(words)
-    if code not in (0, 1):
-        raise InputError(f"the command failed now: {stderr.getvalue().strip().removeprefix('isetval: ')}")
-    out: dict[str, Any] = json.loads(stdout.getvalue())
-    return out
+    return Rerun(("isetval", *words), tuple(moved), len(places), _changed_inputs(made.get("inputs", {}), inputs), changed)
 
 
 def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
@@ -124,11 +118,7 @@ def _same(a: Any, b: Any, rtol: float) -> bool:
     return math.isclose(a, b, rel_tol=rtol, abs_tol=1e-12) if numbers else bool(a == b)
 
 
-def _changed_inputs(inputs: Mapping[str, Any]) -> tuple[str, ...]:
-    out = []
-    for path, entry in inputs.items():
-        if not Path(path).is_file():
-            out.append(f"{path} (gone)")
-        elif file_hash(path) != entry["sha256"]:
-            out.append(path)
-    return tuple(out)
+def _changed_inputs(before: Mapping[str, Any], now: Mapping[str, str]) -> tuple[str, ...]:
+    """Inputs of the first run that the second did not find, or found changed; no file is opened for this."""
+    gone = [f"{path} (gone)" for path in before if path not in now]
+    return (*gone, *(path for path, entry in before.items() if path in now and now[path] != entry["sha256"]))

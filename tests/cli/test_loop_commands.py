@@ -1,5 +1,6 @@
 """simulate, compare, diagnose, add, challenge, campaign init, rerun, effects, doctor, lens audit."""
 
+import io
 import json
 import shutil
 import tomllib
@@ -175,16 +176,64 @@ def test_campaign_init_drafts_what_load_campaign_reads(run, lab, tmp_path):
 def test_rerun_finds_the_same_numbers_and_what_moved(run, run_json, flat_dng, tmp_path):
     stored = tmp_path / "m.json"
     assert run("measure", flat_dng, "-o", stored)[0] == 0
-    code, result, _ = run_json("rerun", stored)
+    code, result, _ = run_json("rerun", stored, "--yes")
     assert code == 0
     assert result["compared"] > 20
     content = json.loads(stored.read_text())
     content["metrics"][0]["value"] += 0.5
     stored.write_text(json.dumps(content))
-    code, result, _ = run_json("rerun", stored)
+    code, result, _ = run_json("rerun", stored, "--yes")
     assert code == 1
     assert [m["place"] for m in result["moved"]] == ["metrics[0].value"]
     assert run("rerun", flat_dng)[0] == 3
+
+
+def _with_command(stored, words, to):
+    content = json.loads(stored.read_text())
+    content["provenance"]["command"] = ["isetval", *map(str, words)]
+    to.write_text(json.dumps(content))
+    return to
+
+
+@pytest.mark.parametrize("spelling", ["-o{}", "-o {}", "--out={}", "--output={}", "--outp {}"])
+def test_rerun_writes_no_file_however_the_output_is_spelled(run, flat_dng, tmp_path, spelling):
+    stored, victim = tmp_path / "m.json", tmp_path / "victim.txt"
+    assert run("measure", flat_dng, "-o", stored)[0] == 0
+    victim.write_text("years of work")
+    foreign = _with_command(stored, ["measure", flat_dng, *spelling.format(victim).split(" ", 1)], tmp_path / "foreign.json")
+    code, out, _ = run("rerun", foreign, "--yes")
+    assert victim.read_text() == "years of work"
+    assert code == 0, out
+
+
+def test_rerun_shows_the_command_and_runs_it_only_on_consent(run, flat_dng, tmp_path, monkeypatch):
+    stored = tmp_path / "m.json"
+    assert run("measure", flat_dng, "-o", stored)[0] == 0
+    hostile = _with_command(stored, ["measure", "/etc/hostname", "\x1b[2J", "--limits", "a b"], tmp_path / "foreign.json")
+    code, _, err = run("rerun", hostile)  # no terminal: nobody can be asked
+    assert code == 3
+    assert "isetval measure /etc/hostname '\\x1b[2J' --limits 'a b'" in err
+    assert "--yes" in err
+    for answer, wanted in (("n\n", 3), ("\n", 3), ("y\n", 0)):
+        monkeypatch.setattr("sys.stdin", Terminal(answer))
+        monkeypatch.setattr("isetval.app.cli.console.Console.can_ask", lambda self: True)
+        assert run("rerun", stored)[0] == wanted, answer
+
+
+class Terminal(io.StringIO):
+    """A person's answer."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("words", [["measure", "--no-such-option"], ["--version"], ["demo"], ["simulate", "a", "b", "-o", "c"]])
+def test_rerun_refuses_what_makes_no_numbers(run, tmp_path, flat_dng, words):
+    stored = tmp_path / "m.json"
+    assert run("measure", flat_dng, "-o", stored)[0] == 0
+    code, out, _ = run("rerun", _with_command(stored, words, tmp_path / "f.json"), "--yes")
+    assert code == 3
+    assert out == ""
 
 
 def test_effects_lists_the_catalogue_with_units_and_equations(run_json):

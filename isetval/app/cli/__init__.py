@@ -22,11 +22,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     from isetval.app.cli.parser import build_parser
 
     words = list(sys.argv[1:] if argv is None else argv)
+    parser = build_parser()
     try:
-        args = build_parser().parse_args(words)
+        args = parser.parse_args(words)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2
-    args.run = main
+    args.parser = parser
     console = Console(json=args.json, quiet=args.quiet, verbose=args.verbose)
     try:
         with console:

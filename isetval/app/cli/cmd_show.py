@@ -45,6 +45,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--rtol", type=float, default=1e-9, help="largest relative difference that counts as equal (default %(default)g)"
     )
+    p.add_argument("--yes", action="store_true", help="run the command in the result without asking")
     p.set_defaults(handler=rerun, writes_result=True)
 
 
@@ -166,12 +167,22 @@ def report(args: argparse.Namespace, console: Console) -> Outcome:
 
 def rerun(args: argparse.Namespace, console: Console) -> Outcome:
     """Run the command behind a result again and list every number that moved (exit code 1 if any did)."""
-    from isetval.app.rerun import rerun_result
+    from isetval.app.rerun import command_of, rerun_result
     from isetval.core.hashing import file_hash
+    from isetval.core.jsonable import plain
     from isetval.loop.adding import read_result
 
+    stored = read_result(args.result)
+    words = command_of(stored)
+    again = _parsed_again(args.parser, words)
+    _consent(words, args, console)
     console.say(f"running the command of {args.result} again")
-    found = rerun_result(read_result(args.result), args.run, rtol=args.rtol)
+
+    def run() -> tuple[dict[str, Any], dict[str, str]]:
+        outcome: Outcome = again.handler(again, console)
+        return plain(outcome.result), dict(outcome.inputs)
+
+    found = rerun_result(stored, run, rtol=args.rtol)
     code = OUTSIDE_LIMITS if found.moved else FINE
     result = {
         "kind": "rerun",
@@ -181,3 +192,43 @@ def rerun(args: argparse.Namespace, console: Console) -> Outcome:
     }
     result |= {"changed_inputs": list(found.changed_inputs), "changed_versions": dict(found.changed_versions)}
     return Outcome(result, found.lines(), code, {str(args.result): file_hash(args.result)})
+
+
+def _parsed_again(parser: argparse.ArgumentParser, words: list[str]) -> argparse.Namespace:
+    """The command of a result as the command line understands it, with nothing to write."""
+    import contextlib
+    import io
+
+    from isetval.core.errors import InputError
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+            args = parser.parse_args(words)
+    except SystemExit:
+        reason = said.getvalue().strip().rpartition("error: ")[2] or "it makes no numbers"
+        raise InputError(f"the result's command is not understood: {_shown(words)}: {reason}") from None
+    args.output = None
+    args.parser = parser
+    return args
+
+
+def _consent(words: list[str], args: argparse.Namespace, console: Console) -> None:
+    """The command in a file is whoever made the file's: it is shown, and run when a person (or ``--yes``) says so."""
+    from isetval.core.errors import InputError
+
+    if args.yes:
+        return
+    asked = f"{args.result} holds this command; it opens the files named in it, and writes none:\n  {_shown(words)}"
+    if not console.can_ask():
+        raise InputError(f"{asked}\nadd --yes to run it")
+    if not console.ask(f"{asked}\nrun it? [y/N] "):
+        raise InputError(f"{args.result}: its command was not run")
+
+
+def _shown(words: list[str]) -> str:
+    """A command line as a shell would take it; characters that a terminal would act on are escaped."""
+    import shlex
+
+    text = shlex.join(["isetval", *words])
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

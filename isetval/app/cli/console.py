@@ -80,6 +80,17 @@ class Console:
                 self._since = time.monotonic()
             self._label = f"[{done}/{total}] {what}"
 
+    def can_ask(self) -> bool:
+        """Whether a person can see a question and answer it."""
+        return sys.stdin.isatty() and sys.stderr.isatty()
+
+    def ask(self, question: str) -> bool:
+        """Whether the person answers yes."""
+        self._clear()
+        sys.stderr.write(question)
+        sys.stderr.flush()
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
     def error(self, text: str) -> None:
         """One sentence on what went wrong; never silenced."""
         self._clear()
