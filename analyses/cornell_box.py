@@ -28,7 +28,7 @@ from isetval.core.scene import RenderedTarget
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.toml import read_toml
 from isetval.scenes import load_scene
-from isetval.scenes.render.placing import project_px
+from isetval.scenes.rendered.placing import project_px
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "data" / "scenes" / "cornell_box.toml"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from isetval.lens.auditing import audit
 from isetval.lens.prescription import Prescription
-from isetval.lens.sampling import ray_transfer
+from isetval.lens.prescription_rays import ray_transfer
 
 FOLDER = Path(__file__).resolve().parents[1] / "data" / "lens"
 WAVELENGTHS_NM = (450.0, 500.0, 550.0, 600.0, 650.0)

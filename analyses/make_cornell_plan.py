@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from isetval.scenes import load_scene
-from isetval.scenes.render.placing import project_px
+from isetval.scenes.rendered.placing import project_px
 
 ROOT = Path(__file__).resolve().parents[1] / "data"
 FOCAL_MM = 4.38

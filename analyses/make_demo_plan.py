@@ -20,7 +20,7 @@ from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.core.campaign import Light, Shot
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
-from isetval.scenes.render.own_spectra import chart_reflectances, lamp
+from isetval.scenes.rendered.own_spectra import chart_reflectances, lamp
 
 HERE = Path(__file__).resolve().parent.parent / "data" / "demo"
 NM = np.arange(390.0, 711.0, 5.0)

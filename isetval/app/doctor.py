@@ -26,7 +26,7 @@ class Checkup:
 
 def examine() -> tuple[list[Checkup], Mapping[str, Any]]:
     """Every part of the installation, and the choice of the Mitsuba variant (a render in a child process)."""
-    from isetval.scenes.render.variants import choose_variant
+    from isetval.scenes.rendered.variants import choose_variant
 
     checks = [*_libraries(), _data(), _opencv(), *_tools()]
     try:

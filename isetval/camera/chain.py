@@ -26,8 +26,8 @@ from isetval.core.sensor import Sensor
 from isetval.core.signal import Signal
 from isetval.core.streams import TILE_ROWS
 from isetval.scenes.planar import build_scene, mean_radiance, planar_radiance
-from isetval.scenes.render.render_passes import DRAWS
-from isetval.scenes.render.render_passes import Progress as RenderProgress
+from isetval.scenes.rendered.accumulation import DRAWS
+from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]
 FRONT = ("scene", "optics", "pixel")
@@ -200,7 +200,7 @@ def _scene(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, context
 
 def _radiance(scene: Scene, context: Context, how: Rendering) -> Signal:
     if isinstance(scene.target, RenderedTarget):
-        from isetval.scenes.render.rendered_target import rendered_radiance
+        from isetval.scenes.rendered.rendered_target import rendered_radiance
 
         return rendered_radiance(scene, context, progress=how.progress, draw=how.draw)
     return planar_radiance(scene, context)

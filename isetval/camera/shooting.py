@@ -15,7 +15,7 @@ from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.streams import stream, word
-from isetval.scenes.render.render_passes import Progress as RenderProgress
+from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

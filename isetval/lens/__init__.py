@@ -3,13 +3,13 @@
 from isetval.core.lazy import lazy_names
 
 _NAMES = {
-    "LensAudit": "isetval.lens.auditing",
+    "LensAudit": "isetval.lens.audit_report",
     "Prescription": "isetval.lens.prescription",
     "RayTransferLens": "isetval.lens.ray_transfer",
     "audit": "isetval.lens.auditing",
     "audit_file": "isetval.lens.auditing",
-    "combine": "isetval.lens.fit",
-    "default_lens": "isetval.lens.stored",
+    "combine": "isetval.lens.tracing",
+    "default_lens": "isetval.lens.known_lenses",
     "from_rays": "isetval.lens.fit",
     "load_lens": "isetval.lens.transfer_file",
 }

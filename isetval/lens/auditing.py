@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,112 +13,17 @@ import numpy as np
 
 from isetval.core.errors import InputError
 from isetval.core.hashing import file_hash
-from isetval.lens.contradictions import Findings, Flag, find_flags
-from isetval.lens.evidence import entrance_pupil, ray_jacobian
+from isetval.lens.audit_report import LensAudit, StatedFocus
+from isetval.lens.consistency import entrance_pupil, ray_jacobian
+from isetval.lens.contradictions import Findings, find_flags
 from isetval.lens.focus import axial_color_um, film_for_object, object_for_film
 from isetval.lens.illumination import distortion_percent, effective_f_number, field_angle_deg, focal_length_mm
+from isetval.lens.known_lenses import StatedFacts, stated_facts
 from isetval.lens.ray_transfer import RayTransferLens
-from isetval.lens.stored import StatedFacts, stated_facts
 from isetval.lens.transfer_file import load_lens
 
 SENSOR_DIAGONAL_MM = 7.056
 OBJECTS_M = (math.inf, 10.0, 3.0, 1.0, 0.5, 0.3, 0.1)
-
-
-@dataclass(frozen=True)
-class StatedFocus:
-    """A film distance that is said to focus an object, and what the rays say (object to front vertex)."""
-
-    film_mm: float
-    stated_object_m: float
-    found_object_m: float
-    needed_film_mm: float
-
-
-@dataclass(frozen=True)
-class LensAudit:
-    """What a lens file holds, and its contradictions.
-
-    Attributes
-    ----------
-    film_mm : float
-        Film to rear vertex for f-number, fall-off and chief rays: stated with the f-number, else the file's input plane.
-    f_number : float
-        Equivalent f-number of the on-axis pass region, 1/(2 sqrt(E/(pi L))).
-    irradiance_factor : float
-        E/L on the axis in sr.
-    stated_f_number : mapping
-        Name of a statement -> f-number (options, the file's own words, stored facts).
-    light_factor : mapping
-        Name of a statement -> (f_number / stated)^2, by which a model must multiply the light.
-    r_mm, relative_illumination, chief_ray_angle_deg, field_angle_deg, distortion_percent : tuple
-        Over the field up to the sensor corner.
-    focus : tuple
-        Pairs (object_m, best film_mm); object to front vertex, film to rear vertex; nan where nothing focuses.
-    stated_focus : tuple of StatedFocus
-    etendue_ratio : (3,)
-        Smallest, mean and largest determinant of the ray map (1 conserves étendue).
-    flags : tuple of Flag
-    """
-
-    file: str
-    sha256: str
-    name: str
-    degree: int
-    wavelengths_nm: tuple[float, ...]
-    film_mm: float
-    f_number: float
-    irradiance_factor: float
-    focal_length_mm: float
-    entrance_pupil_radius_mm: float
-    stated_f_number: Mapping[str, float]
-    light_factor: Mapping[str, float]
-    r_mm: tuple[float, ...]
-    relative_illumination: tuple[float, ...]
-    chief_ray_angle_deg: tuple[float, ...]
-    field_angle_deg: tuple[float, ...]
-    distortion_percent: tuple[float, ...]
-    focus: tuple[tuple[float, float], ...]
-    stated_focus: tuple[StatedFocus, ...]
-    axial_color_um: Mapping[float, float]
-    etendue_ratio: tuple[float, float, float]
-    table_end_mm: float
-    sensor_corner_mm: float
-    stated_source: str
-    flags: tuple[Flag, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """The audit as plain numbers, lists and words; infinity as the string "infinity", nan as null."""
-        plain = asdict(self)
-        curves = ("relative_illumination", "chief_ray_angle_deg", "field_angle_deg", "distortion_percent")
-        for name in curves:
-            plain[name] = {"r_mm": list(self.r_mm), "value": list(getattr(self, name))}
-        plain["focus"] = {
-            "object_m": [o for o, _ in self.focus],
-            "film_mm": [f for _, f in self.focus],
-            "stated": plain.pop("stated_focus"),
-        }
-        plain["axial_color_um"] = {str(k): v for k, v in self.axial_color_um.items()}
-        plain.pop("r_mm")
-        cleaned: dict[str, Any] = _jsonable(plain)
-        return cleaned
-
-    def lines(self) -> list[str]:
-        """The audit in words, one line each."""
-        from isetval.lens.words import audit_lines
-
-        return audit_lines(self)
-
-
-def _jsonable(value: Any) -> Any:
-    """Tuples as lists, infinities as words."""
-    if isinstance(value, dict):
-        return {k: _jsonable(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_jsonable(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return "infinity" if value > 0 else None
-    return value
 
 
 def audit(

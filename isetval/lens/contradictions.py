@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from isetval.lens.evidence import axis_roundness, direction_length_error, entrance_pupil, parity_error
+from isetval.lens.consistency import axis_roundness, direction_length_error, entrance_pupil, parity_error
+from isetval.lens.known_lenses import StatedFacts
 from isetval.lens.polynomials import FloatArray
-from isetval.lens.ray_transfer import RayTransferLens
-from isetval.lens.stored import StatedFacts
+from isetval.lens.tracing import TracedLens
 
 F_NUMBER_TOLERANCE = 0.05
 PIXEL_MM = 0.0014
@@ -32,7 +32,7 @@ class Flag:
 class Findings:
     """What the checks share; ``stated_focus`` rows are film mm, stated object m, found object m, needed film mm."""
 
-    lens: RayTransferLens
+    lens: TracedLens
     f_number: float
     facts: StatedFacts
     corner_mm: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 from isetval.core.errors import InputError
 from isetval.lens.pass_region import ConvexRegion, EllipseRegion, PassRegion
 from isetval.lens.polynomials import OUTPUTS, FloatArray, IntArray, OutputPolynomial, RayPolynomials, full_terms
-from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
-from isetval.lens.search import golden
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.tracing import WavelengthTable
 
 SYMMETRIES = ("rotational", "mirror", "none")
 MAX_HEIGHTS = 120
@@ -150,18 +150,6 @@ def from_rays(
     return LensFit(lens, chosen, errors, int((~held).sum()), int(held.sum()))
 
 
-def combine(fits: Sequence[RayTransferLens]) -> RayTransferLens:
-    """One lens from several single-wavelength lenses with the same planes."""
-    first = fits[0]
-    for other in fits[1:]:
-        mine = (first.thickness_mm, first.plane_offset_input_mm, first.plane_offset_output_mm)
-        theirs = (other.thickness_mm, other.plane_offset_input_mm, other.plane_offset_output_mm)
-        if not np.allclose(mine, theirs, atol=1e-9):
-            raise InputError(f"lenses to combine have different planes: {mine} and {theirs} mm")
-    tables = sorted((t for lens in fits for t in lens.tables), key=lambda t: t.wavelength_nm)
-    return replace(first, tables=tuple(tables))
-
-
 def _meridional(table: RayTable) -> tuple[FloatArray, FloatArray]:
     """Rays rotated so that the input point lies on +y: (r, dx, dy) (3, n) and the six outputs (6, n)."""
     x, y = table.point_mm
@@ -271,7 +259,7 @@ def minimum_ellipse(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Such an ellipse has its axes along x and y and its center on x = 0 (it is unique, so it shares the
     symmetry).  For a ratio k of its axes and a center y0 the least y-axis is max sqrt((x/k)^2 + (y - y0)^2);
-    its area is convex in both, and two nested golden-section searches find the minimum.
+    its area is convex in both, and two nested searches find the minimum.
     """
     hull = _hull(points)
     x2, y = hull[0] ** 2, hull[1]
@@ -280,14 +268,21 @@ def minimum_ellipse(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         return float(np.sqrt((x2 / k**2 + (y - center) ** 2).max()))
 
     def best_center(k: float) -> float:
-        return golden(lambda center: axis(k, center), float(y.min()), float(y.max()))
+        return _minimum(lambda center: axis(k, center), float(y.min()), float(y.max()))
 
     aspect = np.sqrt(x2.max()) / (np.ptp(y) / 2)
-    log_k = golden(lambda t: t + 2 * np.log(axis(np.exp(t), best_center(np.exp(t)))), np.log(aspect) - 1, np.log(aspect) + 1)
+    log_k = _minimum(lambda t: t + 2 * np.log(axis(np.exp(t), best_center(np.exp(t)))), np.log(aspect) - 1, np.log(aspect) + 1)
     k = float(np.exp(log_k))
     center = best_center(k)
     semi_y = axis(k, center)
     return np.array([0.0, center]), np.array([k * semi_y, semi_y])
+
+
+def _minimum(function: Callable[[float], float], low: float, high: float) -> float:
+    """Place of the least value of a convex function between two ends (Brent's method)."""
+    from scipy.optimize import minimize_scalar
+
+    return float(minimize_scalar(function, bounds=(low, high), method="bounded", options={"xatol": 1e-12}).x)
 
 
 def _hull(points: FloatArray) -> FloatArray:

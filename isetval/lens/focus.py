@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -10,15 +11,15 @@ import numpy.typing as npt
 from isetval.core.errors import InputError
 from isetval.lens.illumination import focal_length_mm
 from isetval.lens.polynomials import FloatArray
-from isetval.lens.psf import spot
-from isetval.lens.ray_transfer import RayTransferLens
-from isetval.lens.search import least_blur
+from isetval.lens.spots import spot
+from isetval.lens.tracing import TracedLens
 
 NEAREST_OBJECT_M = 0.02
+SCAN = 13  # places of the coarse scan for the least blur: finer than the depth of focus over the film's reach
 
 
 def spot_radius_mm(
-    lens: RayTransferLens,
+    lens: TracedLens,
     *,
     film_mm: float,
     object_m: float = math.inf,
@@ -43,7 +44,7 @@ def spot_radius_mm(
 
 
 def film_for_object(
-    lens: RayTransferLens, object_m: float = math.inf, *, r_mm: float = 0.0, wavelength_nm: float | None = None
+    lens: TracedLens, object_m: float = math.inf, *, r_mm: float = 0.0, wavelength_nm: float | None = None
 ) -> float:
     """Film distance (film to rear vertex, mm) with the smallest root-mean-square spot for an object.
 
@@ -78,7 +79,7 @@ def film_for_object(
     return found
 
 
-def object_for_film(lens: RayTransferLens, film_mm: float, *, r_mm: float = 0.0, wavelength_nm: float | None = None) -> float:
+def object_for_film(lens: TracedLens, film_mm: float, *, r_mm: float = 0.0, wavelength_nm: float | None = None) -> float:
     """Object distance (object to front vertex, m) that a film distance focuses; infinity where it lies beyond 1000 m.
 
     The search runs over 1/distance, so a film that is too near to the lens for any object gives infinity.
@@ -93,7 +94,7 @@ def object_for_film(lens: RayTransferLens, film_mm: float, *, r_mm: float = 0.0,
 
 
 def focus_curve(
-    lens: RayTransferLens, object_m: npt.ArrayLike, *, r_mm: float = 0.0, wavelength_nm: float | None = None
+    lens: TracedLens, object_m: npt.ArrayLike, *, r_mm: float = 0.0, wavelength_nm: float | None = None
 ) -> FloatArray:
     """Best film distances (mm) for several object distances (m), same shape."""
     distances = np.asarray(object_m, dtype=np.float64)
@@ -102,7 +103,7 @@ def focus_curve(
 
 
 def field_curvature_um(
-    lens: RayTransferLens, r_mm: npt.ArrayLike, *, object_m: float = math.inf, wavelength_nm: float | None = None
+    lens: TracedLens, r_mm: npt.ArrayLike, *, object_m: float = math.inf, wavelength_nm: float | None = None
 ) -> FloatArray:
     """Best film distance at field heights minus that on the axis, in um, same shape as r."""
     heights = np.asarray(r_mm, dtype=np.float64)
@@ -111,13 +112,13 @@ def field_curvature_um(
     return (np.array(films).reshape(heights.shape) - axis) * 1e3
 
 
-def axial_color_um(lens: RayTransferLens, *, object_m: float = math.inf) -> dict[float, float]:
+def axial_color_um(lens: TracedLens, *, object_m: float = math.inf) -> dict[float, float]:
     """Best film distance of every wavelength table minus that of the reference (nearest 550 nm), in um."""
     reference = film_for_object(lens, object_m)
     return {w: (film_for_object(lens, object_m, wavelength_nm=w) - reference) * 1e3 for w in lens.wavelengths_nm}
 
 
-def lateral_color_um(lens: RayTransferLens, r_mm: float, *, film_mm: float | None = None) -> dict[float, float]:
+def lateral_color_um(lens: TracedLens, r_mm: float, *, film_mm: float | None = None) -> dict[float, float]:
     """Image height of every wavelength minus that of the reference for the same far object point, in um.
 
     Parameters
@@ -140,3 +141,33 @@ def _check_object(object_m: float) -> None:
     """Refuse object distances that no camera focuses."""
     if not object_m >= NEAREST_OBJECT_M:
         raise InputError(f"object distance {object_m} m; at least {NEAREST_OBJECT_M} m (front vertex to object) is needed")
+
+
+def least_blur(function: Callable[[float], float], low: float, high: float, *, zooms: int = 3) -> float:
+    """Position of the smallest value of a blur whose square is close to a parabola near its minimum.
+
+    A coarse scan, then four parabolas through three points, each closer together by a factor of 8; the
+    result stays between ``low`` and ``high``.  Where the scan's best point is an end, the first or last
+    interval is scanned again, ``zooms`` times.
+    """
+    grid = np.linspace(low, high, SCAN)
+    values = [function(float(x)) ** 2 for x in grid]
+    best = int(np.argmin(values))
+    if best in (0, SCAN - 1):
+        inner = float(grid[1] if best == 0 else grid[-2])
+        ends = (low, inner) if best == 0 else (inner, high)
+        return least_blur(function, *ends, zooms=zooms - 1) if zooms else float(grid[best])
+    width = float(grid[1] - grid[0])
+    place = _vertex(float(grid[best]), width, values[best - 1 : best + 2])
+    for _ in range(3):
+        width /= 8
+        place = _vertex(place, width, [function(place + k * width) ** 2 for k in (-1, 0, 1)])
+    return float(np.clip(place, low, high))
+
+
+def _vertex(middle: float, width: float, values: list[float]) -> float:
+    """Vertex of the parabola through three equidistant points, at most one step away from the middle."""
+    bend = values[0] - 2 * values[1] + values[2]
+    if bend <= 0:
+        return middle
+    return middle + width * float(np.clip((values[0] - values[2]) / (2 * bend), -1, 1))

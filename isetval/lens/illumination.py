@@ -11,8 +11,7 @@ import numpy.typing as npt
 from isetval.core.errors import InputError
 from isetval.lens.pass_region import PassRegion
 from isetval.lens.polynomials import FloatArray
-from isetval.lens.ray_transfer import RayTransferLens
-from isetval.lens.search import smooth_curve
+from isetval.lens.tracing import TracedLens
 
 AZIMUTHS = 96
 RINGS = 8
@@ -93,7 +92,7 @@ def rim_on_pass_plane(
 
 
 def pupil_rays(
-    lens: RayTransferLens,
+    lens: TracedLens,
     point_mm: npt.ArrayLike,
     *,
     film_mm: float | None = None,
@@ -137,7 +136,7 @@ def _unit(slope: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _irradiance_curve(
-    lens: RayTransferLens, film_mm: float | None, wavelength_nm: float | None, reach_mm: float
+    lens: TracedLens, film_mm: float | None, wavelength_nm: float | None, reach_mm: float
 ) -> tuple[FloatArray, FloatArray]:
     """Heights on the table's own grid (to ``reach_mm``) and E/L there."""
     positions = getattr(lens.table(wavelength_nm).region, "positions_mm", None)
@@ -155,7 +154,7 @@ def _irradiance_curve(
 
 
 def irradiance_factor(
-    lens: RayTransferLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    lens: TracedLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
 ) -> FloatArray:
     """E/L (sr): film irradiance per radiance of a uniform scene, at field heights r, same shape as r.
 
@@ -179,13 +178,21 @@ def irradiance_factor(
     return smooth_curve(heights, factor, r)
 
 
+def smooth_curve(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
+    """Cubic Hermite interpolation with slopes from parabolas through neighbors; held at the ends, any shape of ``at``."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    slope = np.gradient(y, x, edge_order=2 if len(x) > 2 else 1)
+    return np.asarray(CubicHermiteSpline(x, y, slope)(np.clip(at, x[0], x[-1])), dtype=np.float64)
+
+
 def _finite(last: float, reach: float) -> float:
     """The table's end, or the reach where the table has none."""
     return last if np.isfinite(last) else reach
 
 
 def effective_f_number(
-    lens: RayTransferLens, r_mm: npt.ArrayLike = 0.0, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    lens: TracedLens, r_mm: npt.ArrayLike = 0.0, *, film_mm: float | None = None, wavelength_nm: float | None = None
 ) -> FloatArray:
     """F-number of the ideal on-axis beam with the same irradiance, N = 1/(2 sqrt(E/(pi L))), same shape as r."""
     factor = irradiance_factor(lens, r_mm, film_mm=film_mm, wavelength_nm=wavelength_nm)
@@ -194,7 +201,7 @@ def effective_f_number(
 
 
 def chief_directions(
-    lens: RayTransferLens, r_mm: FloatArray, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    lens: TracedLens, r_mm: FloatArray, *, film_mm: float | None = None, wavelength_nm: float | None = None
 ) -> FloatArray:
     """Directions (3, n) from film points (0, r) through the middle of the pass region."""
     region = lens.table(wavelength_nm).region
@@ -208,7 +215,7 @@ def chief_directions(
 
 
 def chief_ray_angle_deg(
-    lens: RayTransferLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    lens: TracedLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
 ) -> FloatArray:
     """Angle between axis and chief ray (through the middle of the pass region), same shape as r."""
     r = np.abs(np.asarray(r_mm, dtype=np.float64))
@@ -218,7 +225,7 @@ def chief_ray_angle_deg(
 
 
 def field_angle_deg(
-    lens: RayTransferLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    lens: TracedLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
 ) -> FloatArray:
     """Angle of the chief ray in the scene, same shape as r (a film point at +y looks towards -y)."""
     r = np.abs(np.asarray(r_mm, dtype=np.float64))
@@ -229,7 +236,7 @@ def field_angle_deg(
     return angle
 
 
-def focal_length_mm(lens: RayTransferLens, *, wavelength_nm: float | None = None) -> float:
+def focal_length_mm(lens: TracedLens, *, wavelength_nm: float | None = None) -> float:
     """Focal length from rays that leave the film side parallel to the axis.
 
     Notes
@@ -248,7 +255,7 @@ def focal_length_mm(lens: RayTransferLens, *, wavelength_nm: float | None = None
 
 
 def distortion_percent(
-    lens: RayTransferLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    lens: TracedLens, r_mm: npt.ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
 ) -> FloatArray:
     """Image height against that of a rectilinear lens with the same scale on axis, in percent, same shape as r.
 

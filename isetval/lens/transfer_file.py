@@ -1,8 +1,7 @@
-"""The ISET ray-transfer JSON: reading, checking, writing."""
+"""Reading and checking the ISET ray-transfer JSON (writing: `isetval.lens.transfer_writer`)."""
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 from collections.abc import Mapping
@@ -13,36 +12,11 @@ import numpy as np
 
 from isetval.core.errors import InputError
 from isetval.lens.pass_region import region_from_json
-from isetval.lens.polynomials import OUTPUTS, OutputPolynomial, RayPolynomials
-from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
+from isetval.lens.polynomials import OutputPolynomial, RayPolynomials
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.tracing import WavelengthTable, combine
 
 OLD_CIRCLES = {"circleRadii": "radii", "circleSensitivities": "sensitivities", "circlePlaneZ": "intersectPlaneDistance"}
-
-
-def to_json(lens: RayTransferLens) -> dict[str, Any]:
-    """The lens as the object that an ISET ray-transfer file holds."""
-    return {
-        "description": lens.description,
-        "name": lens.name,
-        "thickness": lens.thickness_mm,
-        "planeoffsetoutput": lens.plane_offset_output_mm,
-        "planeoffsetinput": lens.plane_offset_input_mm,
-        **copy.deepcopy(dict(lens.extra)),
-        "polynomials": [
-            {
-                "wavelength_nm": table.wavelength_nm,
-                "passnopass": table.region.to_json(),
-                "poly": [_output_json(name, table.polynomials.outputs[name]) for name in OUTPUTS],
-            }
-            for table in lens.tables
-        ],
-    }
-
-
-def _output_json(name: str, p: OutputPolynomial) -> dict[str, Any]:
-    """One entry of the ``poly`` list."""
-    termr, termdx, termdy = p.exponents.T.tolist()
-    return {"outputname": name, "coeff": p.coefficients.tolist(), "termr": termr, "termdx": termdx, "termdy": termdy}
 
 
 def load_lens(path: str | Path, *more: str | Path) -> RayTransferLens:
@@ -54,8 +28,6 @@ def load_lens(path: str | Path, *more: str | Path) -> RayTransferLens:
         The file is missing, is no JSON, or lacks an entry; the message names it.
     """
     if more:
-        from isetval.lens.fit import combine
-
         return combine([load_lens(file) for file in (path, *more)])
     file = Path(path)
     try:

@@ -18,7 +18,7 @@ import numpy as np
 
 from isetval.lens import default_lens, load_lens
 from isetval.lens.ray_transfer import RayTransferLens
-from isetval.lens.transfer_file import to_json
+from isetval.lens.transfer_writer import to_json
 
 RAYS = 400_000
 REPEATS = 5

@@ -6,7 +6,8 @@ import numpy as np
 
 from isetval.lens.pass_region import CircleRegion, PassRegion
 from isetval.lens.polynomials import OutputPolynomial, RayPolynomials
-from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.tracing import WavelengthTable
 
 
 def linear(terms: dict[tuple[int, int, int], float]) -> OutputPolynomial:

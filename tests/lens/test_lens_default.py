@@ -7,25 +7,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isetval.lens.auditing import LensAudit, audit_file
+from isetval.core.paths import data_folder
+from isetval.lens.audit_report import LensAudit
+from isetval.lens.auditing import audit_file
 from isetval.lens.focus import axial_color_um, lateral_color_um
 from isetval.lens.illumination import effective_f_number, focal_length_mm
+from isetval.lens.known_lenses import default_lens
 from isetval.lens.prescription import Prescription
+from isetval.lens.prescription_rays import Planes, sample_rays
 from isetval.lens.psf import mtf
-from isetval.lens.sampling import Planes, sample_rays
-from isetval.lens.stored import data_folder, default_lens
 
 CORNER_MM = 7.056 / 2
 
 
 @pytest.fixture(scope="module")
 def prescription() -> Prescription:
-    return Prescription.load(data_folder() / "default_lens.toml")
+    return Prescription.load(data_folder() / "lens" / "default_lens.toml")
 
 
 @pytest.fixture(scope="module")
 def result() -> LensAudit:
-    return audit_file(data_folder() / "default_lens.json")
+    return audit_file(data_folder() / "lens" / "default_lens.json")
 
 
 def test_the_audit_finds_no_contradiction(result: LensAudit) -> None:
@@ -34,7 +36,7 @@ def test_the_audit_finds_no_contradiction(result: LensAudit) -> None:
 
 
 def test_every_number_has_a_source() -> None:
-    for file in data_folder().glob("*.toml"):
+    for file in (data_folder() / "lens").glob("*.toml"):
         assert "source = " in file.read_text(encoding="utf-8"), file.name
     assert "first principles" in default_lens().description
 
@@ -46,7 +48,7 @@ def test_f_number_and_focal_length_are_those_of_the_prescription(prescription: P
     # front stop: entrance pupil = stop.  2 %: the marginal ray's sine against the paraxial slope (spherical aberration)
     assert float(effective_f_number(lens, film_mm=back)) == pytest.approx(focal / (2 * stop.semi_aperture_mm), rel=0.02)
     assert focal_length_mm(lens) == pytest.approx(focal, rel=0.02)
-    assert Path(data_folder() / "default_lens.json").stat().st_size < 400_000
+    assert Path(data_folder() / "lens" / "default_lens.json").stat().st_size < 400_000
 
 
 def test_fresh_rays_of_the_prescription_agree_with_the_file(prescription: Prescription) -> None:

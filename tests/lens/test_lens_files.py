@@ -12,7 +12,8 @@ from lens_models import thin_lens
 
 from isetval.core.errors import InputError
 from isetval.lens.pass_region import CircleRegion, ConvexRegion, region_from_json
-from isetval.lens.transfer_file import from_json, load_lens, to_json
+from isetval.lens.transfer_file import from_json, load_lens
+from isetval.lens.transfer_writer import to_json
 
 
 @pytest.mark.parametrize("degree", [4, 5, 7])

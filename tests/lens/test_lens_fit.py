@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from isetval.core.errors import InputError
-from isetval.lens.fit import RayTable, combine, convex_rim, from_rays, minimum_ellipse
+from isetval.lens.fit import RayTable, convex_rim, from_rays, minimum_ellipse
 from isetval.lens.illumination import pupil_rays
 from isetval.lens.prescription import Prescription, Surface
+from isetval.lens.prescription_rays import Planes, ray_transfer, sample_rays
 from isetval.lens.ray_transfer import RayTransferLens
-from isetval.lens.sampling import Planes, ray_transfer, sample_rays
+from isetval.lens.tracing import combine
 
 
 def rays_of(lens: RayTransferLens, heights: np.ndarray, *, turn: bool = False) -> RayTable:

@@ -21,8 +21,10 @@ from isetval.lens.focus import (
     spot_radius_mm,
 )
 from isetval.lens.polynomials import RayPolynomials
-from isetval.lens.psf import geometric_otf, lsf, mtf, psf_image, spot
-from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
+from isetval.lens.psf import geometric_otf, lsf, mtf, psf_image
+from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.spots import spot
+from isetval.lens.tracing import WavelengthTable
 from isetval.lens.transfer_file import load_lens
 
 

@@ -7,7 +7,7 @@ from lens_models import thin_lens
 
 from isetval.app.plots.lens import audit_figure, focus_figure, mtf_figure, spot_figure
 from isetval.lens.auditing import audit
-from isetval.lens.stored import default_lens
+from isetval.lens.known_lenses import default_lens
 
 
 def test_audit_figure_shows_the_audits_curves() -> None:

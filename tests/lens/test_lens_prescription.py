@@ -11,7 +11,7 @@ import pytest
 from isetval.core.errors import InputError
 from isetval.lens.illumination import effective_f_number, focal_length_mm
 from isetval.lens.prescription import Prescription, Surface
-from isetval.lens.sampling import exit_pupil_mm, ray_transfer
+from isetval.lens.prescription_rays import exit_pupil_mm, ray_transfer
 
 D_LINE_NM = 587.5618
 

@@ -16,7 +16,7 @@ def fast_variant(tmp_path_factory):
     """A wavefront variant that works here, or a skip."""
     import os
 
-    from isetval.scenes.render.variants import SCALAR, choose_variant
+    from isetval.scenes.rendered.variants import SCALAR, choose_variant
 
     kept = {name: os.environ.pop(name, None) for name in ("ISETVAL_VARIANT", "ISETVAL_CACHE")}
     os.environ["ISETVAL_CACHE"] = str(tmp_path_factory.mktemp("variants"))

@@ -8,7 +8,7 @@ import pytest
 from isetval.lens import RayTransferLens, load_lens
 from isetval.lens.pass_region import EllipseRegion
 from isetval.lens.polynomials import OutputPolynomial, RayPolynomials
-from isetval.lens.ray_transfer import WavelengthTable
+from isetval.lens.tracing import WavelengthTable
 
 FOCAL_MM, BACK_MM = 4.4, 0.46
 PIXEL_4A = Path(__file__).resolve().parents[3] / "shared/data/pixel4a/rtf_pixel4a_rear_ellipse_poly4.json"

@@ -33,11 +33,11 @@ from isetval.lens import default_lens
 from isetval.lens.focus import film_for_object
 from isetval.scenes import choose_variant, cornell_box, electrons_per_radiance, ray_space_irradiance, render, wall_camera
 from isetval.scenes import lens_view as view_of
-from isetval.scenes.render.box import PAPER_EDGES, Chart
-from isetval.scenes.render.lens_tables import lens_tables
-from isetval.scenes.render.mitsuba_backend import build_scene, film_plugin, load_mitsuba, path_integrator, sensor_plugin
-from isetval.scenes.render.own_spectra import chart_reflectances
-from isetval.scenes.render.placing import rectangle, translate
+from isetval.scenes.rendered.box import PAPER_EDGES, Chart
+from isetval.scenes.rendered.lens_tables import lens_tables
+from isetval.scenes.rendered.mitsuba_backend import build_scene, film_plugin, load_mitsuba, path_integrator, sensor_plugin
+from isetval.scenes.rendered.own_spectra import chart_reflectances
+from isetval.scenes.rendered.placing import rectangle, translate
 
 STORED = Path(__file__).resolve().parents[2] / "data" / "stored" / "simulator_checks.json"
 Entry = dict[str, Any]
@@ -186,7 +186,7 @@ def check_speed() -> list[Entry]:
     """CPU seconds of the lens sensor over those of the built-in thin lens: same film, paths and scene, interleaved."""
     import drjit
 
-    from isetval.scenes.render import ray_sensor
+    from isetval.scenes.rendered import ray_sensor
 
     choice = choose_variant("auto")
     mi = load_mitsuba(choice.variant, choice.library)

@@ -9,11 +9,11 @@ import pytest
 from isetval.core.errors import InputError
 from isetval.core.spectrum import Spectrum
 from isetval.scenes import cornell_box, load_scene, wall_camera
-from isetval.scenes.render.box import PAPER_EDGES, Chart, Mesh
-from isetval.scenes.render.own_spectra import CHART_PATCHES, chart_reflectances, lamp, papers
-from isetval.scenes.render.placing import project_px
-from isetval.scenes.render.rendering import render, scene_content
-from isetval.scenes.render.spectra import band_feet_nm, band_weights_nm
+from isetval.scenes.rendered.box import PAPER_EDGES, Chart, Mesh
+from isetval.scenes.rendered.own_spectra import CHART_PATCHES, chart_reflectances, lamp, papers
+from isetval.scenes.rendered.placing import project_px
+from isetval.scenes.rendered.rendering import render, scene_content
+from isetval.scenes.rendered.spectra import band_feet_nm, band_weights_nm
 
 SCENES = Path(__file__).resolve().parents[2] / "data" / "scenes"
 

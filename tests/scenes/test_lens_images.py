@@ -6,12 +6,12 @@ from scene_lenses import BACK_MM, FOCAL_MM, focused_film_mm, pixel_4a, textbook_
 
 from isetval.core.errors import InputError
 from isetval.lens.polynomials import OutputPolynomial, RayPolynomials
-from isetval.lens.ray_transfer import WavelengthTable
+from isetval.lens.tracing import WavelengthTable
 from isetval.scenes import wall_camera
-from isetval.scenes.render.lens_view import lens_view, pupil_camera, pupil_crop
-from isetval.scenes.render.placing import edge_target, rectangle, translate
-from isetval.scenes.render.render_passes import Render
-from isetval.scenes.render.rendering import render
+from isetval.scenes.rendered.accumulation import Render
+from isetval.scenes.rendered.lens_view import lens_view, pupil_camera, pupil_crop
+from isetval.scenes.rendered.placing import edge_target, rectangle, translate
+from isetval.scenes.rendered.rendering import render
 from isetval.scenes.through_lens.image_space import image_space_irradiance
 from isetval.scenes.through_lens.ray_space import ray_space_irradiance
 

@@ -6,7 +6,7 @@ import pytest
 from isetval.core.errors import InputError
 from isetval.core.spectrum import Spectrum
 from isetval.scenes import cornell_box, render, wall_camera
-from isetval.scenes.render.placing import project_px, rectangle, translate
+from isetval.scenes.rendered.placing import project_px, rectangle, translate
 
 pytestmark = pytest.mark.mitsuba
 BANDS = np.arange(450.0, 651.0, 50.0)

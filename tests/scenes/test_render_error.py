@@ -17,7 +17,7 @@ from isetval.core.spectrum import Spectrum
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.render_error import render_covariance
 from isetval.measure.campaign import measure_shot
-from isetval.scenes.render.render_passes import DRAWS, Running, signs
+from isetval.scenes.rendered.accumulation import DRAWS, Running, signs
 
 SEEDS = 12
 

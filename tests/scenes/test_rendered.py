@@ -10,9 +10,9 @@ from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene
 from isetval.core.sensor import Sensor
 from isetval.core.spectrum import Spectrum
-from isetval.scenes.render.own_spectra import lamp
-from isetval.scenes.render.render_passes import Render
-from isetval.scenes.render.rendered_target import Picture, rendered_mean, rendered_radiance
+from isetval.scenes.rendered.accumulation import Render
+from isetval.scenes.rendered.own_spectra import lamp
+from isetval.scenes.rendered.rendered_target import Picture, rendered_mean, rendered_radiance
 
 pytestmark = pytest.mark.mitsuba
 GRID = np.arange(450.0, 651.0, 25.0)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from isetval.scenes import cornell_box, wall_camera
-from isetval.scenes.render import rendering
-from isetval.scenes.render.rendering import render
+from isetval.scenes.rendered import rendering
+from isetval.scenes.rendered.rendering import render
 
 pytestmark = pytest.mark.mitsuba
 BANDS = [500.0, 550.0, 600.0]

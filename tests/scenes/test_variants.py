@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from isetval.core.errors import InputError, MissingPartError
-from isetval.scenes.render import variants
-from isetval.scenes.render.variants import SCALAR, choose_variant, llvm_libraries, probe_variant
+from isetval.scenes.rendered import variants
+from isetval.scenes.rendered.variants import SCALAR, choose_variant, llvm_libraries, probe_variant
 
 pytestmark = pytest.mark.mitsuba
 
@@ -56,7 +56,7 @@ def test_choosing_imports_no_mitsuba():
     import subprocess
 
     code = (
-        "import sys, isetval.scenes.render.variants as v\n"
+        "import sys, isetval.scenes.rendered.variants as v\n"
         "v.choose_variant(); v.mitsuba_version(); assert 'mitsuba' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=dict(os.environ))

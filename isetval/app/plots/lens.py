@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isetval.lens.focus import film_for_object, focus_curve
-from isetval.lens.psf import mtf, spot
+from isetval.lens.psf import mtf
+from isetval.lens.spots import spot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from isetval.lens.auditing import LensAudit
+    from isetval.lens.audit_report import LensAudit
     from isetval.lens.ray_transfer import RayTransferLens
 
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
-from isetval.scenes.render.lens_view import LensView, pinhole_position
-from isetval.scenes.render.render_passes import Crop, Irradiance, Render
-from isetval.scenes.render.rendering import split_tiles
+from isetval.scenes.rendered.accumulation import Crop, Irradiance, Render
+from isetval.scenes.rendered.lens_view import LensView, pinhole_position
+from isetval.scenes.rendered.rendering import split_tiles
 from isetval.scenes.through_lens.spots import Spot
 
 Float = NDArray[np.float64]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from isetval.scenes.render.lens_tables import lens_tables
-from isetval.scenes.render.lens_view import LensView
-from isetval.scenes.render.render_passes import Crop, Irradiance, NoiseTarget, Progress
-from isetval.scenes.render.rendering import Job, check_camera, check_crop
-from isetval.scenes.render.variants import choose_variant
+from isetval.scenes.rendered.accumulation import Crop, Irradiance, NoiseTarget, Progress
+from isetval.scenes.rendered.lens_tables import lens_tables
+from isetval.scenes.rendered.lens_view import LensView
+from isetval.scenes.rendered.rendering import Job, check_camera, check_crop
+from isetval.scenes.rendered.variants import choose_variant
 
 
 def ray_space_irradiance(
@@ -36,13 +36,13 @@ def ray_space_irradiance(
     Parameters
     ----------
     spec : mapping
-        A scene, see `isetval.scenes.render.rendering.render`.
+        A scene, see `isetval.scenes.rendered.rendering.render`.
     view : LensView
         The lens at a film distance.
     camera : mapping
         The sensor and the pose of the entrance pupil; an aperture in it is ignored.
     crop, wavelength_nm, spp, seed, noise_target, cache, progress
-        As in `isetval.scenes.render.rendering.render`.
+        As in `isetval.scenes.rendered.rendering.render`.
     light_factor : float
         Named factor on the light (3.96 or 3.54 for a lens file that holds half the pupil); the blur stays as it is.
     variant : str
@@ -58,7 +58,7 @@ def ray_space_irradiance(
     Raises
     ------
     InputError, MissingPartError
-        As `isetval.scenes.render.rendering.render`.
+        As `isetval.scenes.rendered.rendering.render`.
     """
     camera = check_camera(camera)
     camera["aperture_radius_mm"] = 0.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.scenes.render.lens_view import LensView, pupil_points, rim
+from isetval.scenes.rendered.lens_view import LensView, pupil_points, rim
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
-from isetval.scenes.render.lens_tables import RIM_AZIMUTHS, LensTables, WaveTable
+from isetval.scenes.rendered.lens_tables import RIM_AZIMUTHS, LensTables, WaveTable
 
 Float = NDArray[np.float64]
 PLUGIN = "isetval_ray_transfer"
@@ -169,7 +169,7 @@ def sensor_class(mi: Any, dr: Any) -> Any:
     """The sensor class of the active variant (Mitsuba's base classes differ between variants)."""
 
     class RayTransferSensor(mi.Sensor):  # type: ignore[misc]
-        """Film, ray-transfer lens, scene; picture upright as in `isetval.scenes.render.rendering.render`."""
+        """Film, ray-transfer lens, scene; picture upright as in `isetval.scenes.rendered.rendering.render`."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)

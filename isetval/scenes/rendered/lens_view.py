@@ -237,7 +237,7 @@ def pupil_camera(view: LensView, camera: Mapping[str, Any], *, subsample: int = 
     ----------
     view : LensView
     camera : mapping
-        Pose (of the entrance pupil) and sensor, as `isetval.scenes.render.rendering.render` takes it.
+        Pose (of the entrance pupil) and sensor, as `isetval.scenes.rendered.rendering.render` takes it.
     subsample : int
 
     Returns

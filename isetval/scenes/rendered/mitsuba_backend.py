@@ -1,7 +1,7 @@
 """The only importer of Mitsuba: plain scene dictionaries in, arrays out.
 
-Run as ``python -m isetval.scenes.render.mitsuba_backend --probe VARIANT`` it is the child process of
-:mod:`isetval.scenes.render.variants`.
+Run as ``python -m isetval.scenes.rendered.mitsuba_backend --probe VARIANT`` it is the child process of
+:mod:`isetval.scenes.rendered.variants`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
-from isetval.scenes.render import ray_sensor
-from isetval.scenes.render.lens_tables import LensTables
-from isetval.scenes.render.spectra import band_feet_nm
+from isetval.scenes.rendered import ray_sensor
+from isetval.scenes.rendered.lens_tables import LensTables
+from isetval.scenes.rendered.spectra import band_feet_nm
 
 Float = NDArray[np.float64]
 Crop = tuple[int, int, int, int]
@@ -161,11 +161,11 @@ class Tile:
     Parameters
     ----------
     spec, camera : dict
-        Plain descriptions, see :mod:`isetval.scenes.render.box` and :mod:`isetval.scenes.render.rendering`.
+        Plain descriptions, see :mod:`isetval.scenes.rendered.box` and :mod:`isetval.scenes.rendered.rendering`.
     crop : (row0, col0, rows, cols)
     wavelength_nm : sequence of float
     variant, library : str
-        As chosen by :func:`isetval.scenes.render.variants.choose_variant`.
+        As chosen by :func:`isetval.scenes.rendered.variants.choose_variant`.
     lens : LensTables, optional
         Trace every ray through this lens; passes are then spectral irradiance, W/(m2 nm).
     """
@@ -234,7 +234,7 @@ def probe(variant: str) -> bool:
 def main(arguments: Sequence[str]) -> int:
     """Entry of the probing child process."""
     if len(arguments) != 2 or arguments[0] != "--probe":
-        sys.stderr.write("usage: python -m isetval.scenes.render.mitsuba_backend --probe VARIANT\n")
+        sys.stderr.write("usage: python -m isetval.scenes.rendered.mitsuba_backend --probe VARIANT\n")
         return 2
     if not probe(arguments[1]):
         sys.stderr.write("error: the probe render gave impossible numbers\n")

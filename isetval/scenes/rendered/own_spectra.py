@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.spectrum import Spectrum
-from isetval.scenes.render.spectra import LONGEST_NM, SHORTEST_NM
+from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
 
 Float = NDArray[np.float64]
 GRID_NM: Float = np.arange(SHORTEST_NM, LONGEST_NM + 1, 5.0)

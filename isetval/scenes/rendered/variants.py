@@ -112,7 +112,7 @@ def _render_in_child(variant: str, library: str, timeout_s: float) -> tuple[bool
         environment["DRJIT_LIBLLVM_PATH"] = library
     root = str(Path(__file__).resolve().parents[3])
     environment["PYTHONPATH"] = os.pathsep.join(p for p in (root, environment.get("PYTHONPATH", "")) if p)
-    command = [sys.executable, "-m", "isetval.scenes.render.mitsuba_backend", "--probe", variant]
+    command = [sys.executable, "-m", "isetval.scenes.rendered.mitsuba_backend", "--probe", variant]
     try:
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False)
     except subprocess.TimeoutExpired:

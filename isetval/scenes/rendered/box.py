@@ -20,9 +20,9 @@ from typing import Any
 from isetval.core.errors import InputError
 from isetval.core.hashing import file_hash
 from isetval.core.spectrum import Spectrum
-from isetval.scenes.render import own_spectra
-from isetval.scenes.render.placing import Float, Shape, block, edge_target, patch_grid, rectangle, rotate, scale, translate
-from isetval.scenes.render.spectra import radiance_dict, raised, reflectance_dict, scaled
+from isetval.scenes.rendered import own_spectra
+from isetval.scenes.rendered.placing import Float, Shape, block, edge_target, patch_grid, rectangle, rotate, scale, translate
+from isetval.scenes.rendered.spectra import radiance_dict, raised, reflectance_dict, scaled
 
 PIXEL_4A = {"focal_mm": 4.38, "pixel_um": 1.4, "rows": 3024, "cols": 4032}
 

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from isetval.core.errors import InputError
-from isetval.lens.fit import LensFit, RayTable, combine, convex_rim, from_rays, minimum_ellipse
+from isetval.lens.fit import LensFit, RayTable, convex_rim, from_rays, minimum_ellipse
 from isetval.lens.pass_region import ConvexRegion, EllipseRegion, PassRegion
 from isetval.lens.polynomials import FloatArray
 from isetval.lens.prescription import Prescription
 from isetval.lens.ray_transfer import RayTransferLens
+from isetval.lens.tracing import combine
 
 SCAN = 401
 BISECTIONS = 40

@@ -9,7 +9,7 @@ import numpy as np
 from isetval.lens.illumination import chief_directions, pupil_rays
 from isetval.lens.pass_region import EllipseRegion
 from isetval.lens.polynomials import FloatArray
-from isetval.lens.ray_transfer import RayTransferLens, WavelengthTable
+from isetval.lens.tracing import TracedLens, WavelengthTable
 
 STEP = 1e-4
 
@@ -50,7 +50,7 @@ def field_heights(table: WavelengthTable, count: int, *, first: float = 0.08, re
     return np.linspace(first, 0.97, count) * last
 
 
-def entrance_pupil(lens: RayTransferLens, *, wavelength_nm: float | None = None, count: int = 8) -> EntrancePupil:
+def entrance_pupil(lens: TracedLens, *, wavelength_nm: float | None = None, count: int = 8) -> EntrancePupil:
     """Trace the rim of the pass region of several field heights to the plane where near-axis chief rays cross the axis."""
     heights = field_heights(lens.table(wavelength_nm), count)
     near = heights[:2]
@@ -67,7 +67,7 @@ def entrance_pupil(lens: RayTransferLens, *, wavelength_nm: float | None = None,
     return EntrancePupil(heights, np.array(radii), z)
 
 
-def ray_jacobian(lens: RayTransferLens, *, wavelength_nm: float | None = None, count: int = 8) -> tuple[FloatArray, FloatArray]:
+def ray_jacobian(lens: TracedLens, *, wavelength_nm: float | None = None, count: int = 8) -> tuple[FloatArray, FloatArray]:
     """Determinant of the ray map at rays over field and pupil.
 
     Returns
@@ -105,7 +105,7 @@ def axis_roundness(table: WavelengthTable) -> tuple[float, float] | None:
     return float(np.hypot(*region.centers_mm[0]) / np.sqrt(rx * ry)), float(max(rx, ry) / min(rx, ry) - 1)
 
 
-def direction_length_error(lens: RayTransferLens, *, wavelength_nm: float | None = None) -> float:
+def direction_length_error(lens: TracedLens, *, wavelength_nm: float | None = None) -> float:
     """Largest difference between the fitted outdz and sqrt(1 - outdx^2 - outdy^2) over field and pupil."""
     table = lens.table(wavelength_nm)
     worst = 0.0
@@ -118,7 +118,7 @@ def direction_length_error(lens: RayTransferLens, *, wavelength_nm: float | None
     return worst
 
 
-def parity_error(lens: RayTransferLens, *, wavelength_nm: float | None = None) -> tuple[float, float]:
+def parity_error(lens: TracedLens, *, wavelength_nm: float | None = None) -> tuple[float, float]:
     """Largest change of outx/outy (um) and outdx/outdy (mrad) when terms that break the mirror symmetry are dropped."""
     table = lens.table(wavelength_nm)
     clean = table.polynomials.without_wrong_parity()

@@ -11,7 +11,7 @@ from typing import Any
 
 from isetval.core.errors import InputError
 from isetval.core.spectrum import Spectrum, read_spectra
-from isetval.scenes.render.box import Block, BoxParameters, Chart, Edge, Mesh, cornell_box, wall_camera
+from isetval.scenes.rendered.box import Block, BoxParameters, Chart, Edge, Mesh, cornell_box, wall_camera
 
 _LISTS = {"blocks": Block, "charts": Chart, "edges": Edge, "meshes": Mesh}
 _TOP = {"kind", "name", "parameters", "spectra", "camera", "source", "render"}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isetval.core.errors import InputError
-from isetval.scenes.render.render_passes import NoiseTarget, PassPlan, Running, pass_seed, run_passes
+from isetval.scenes.rendered.accumulation import NoiseTarget, PassPlan, Running, pass_seed, run_passes
 
 TILE = (0, 0, 6, 5)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.scenes.render.lens_view import Lens, LensView, rim
+from isetval.scenes.rendered.lens_view import Lens, LensView, rim
 
 Float = NDArray[np.float64]
 TABLE = 256

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
-from isetval.scenes.render.render_passes import NoiseTarget
-from isetval.scenes.render.spectra import band_weights_nm
+from isetval.scenes.rendered.accumulation import NoiseTarget
+from isetval.scenes.rendered.spectra import band_weights_nm
 
 Float = NDArray[np.float64]
 PLANCK_J_S, LIGHT_M_S = 6.62607015e-34, 299792458.0  # exact, SI 2019

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from isetval.core import cache as store
 from isetval.core.errors import InputError
 from isetval.core.hashing import content_hash
-from isetval.scenes.render.lens_tables import LensTables
-from isetval.scenes.render.render_passes import DRAWS, Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
-from isetval.scenes.render.spectra import band_feet_nm
-from isetval.scenes.render.variants import VariantChoice, choose_variant, mitsuba_version
+from isetval.scenes.rendered.accumulation import DRAWS, Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
+from isetval.scenes.rendered.lens_tables import LensTables
+from isetval.scenes.rendered.spectra import band_feet_nm
+from isetval.scenes.rendered.variants import VariantChoice, choose_variant, mitsuba_version
 
 TILE_PX = 256
 CACHE_BYTES = 4_000_000_000
@@ -44,7 +44,7 @@ def render(
     Parameters
     ----------
     spec : mapping
-        A scene as a plain dictionary, for instance from :func:`isetval.scenes.render.box.cornell_box`.
+        A scene as a plain dictionary, for instance from :func:`isetval.scenes.rendered.box.cornell_box`.
     camera : mapping
         ``position_m`` (of the entrance pupil), ``look_at_m``, ``up``, ``focal_mm`` (distance of the image plane),
         ``pixel_um``, ``rows``, ``cols`` of the full sensor; ``aperture_radius_mm`` and ``focus_m`` for a thin lens
@@ -61,7 +61,7 @@ def render(
     noise_target : float or NoiseTarget, optional
         Stop earlier: a float is the wanted relative standard error of the mean radiance.
     variant : str, optional
-        See :func:`isetval.scenes.render.variants.choose_variant`.
+        See :func:`isetval.scenes.rendered.variants.choose_variant`.
     cache : bool
         Keep passes in the cache folder: a killed render resumes and a repeated one costs nothing.
     progress : callable, optional
@@ -204,7 +204,7 @@ class _LazyTile:
         self._loaded: Any = None
 
     def _scene(self) -> Any:
-        from isetval.scenes.render.mitsuba_backend import Tile
+        from isetval.scenes.rendered.mitsuba_backend import Tile
 
         if self._loaded is None:
             job = self._job

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from isetval.core.errors import InputError, MissingPartError
+from isetval.core.errors import InputError
+from isetval.core.paths import data_folder
 from isetval.lens.ray_transfer import RayTransferLens
 from isetval.lens.transfer_file import load_lens
 
@@ -39,28 +40,15 @@ class StatedFacts:
     source: str = ""
 
 
-def data_folder() -> Path:
-    """Folder of the lens data: beside the package in a checkout, inside it when installed."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package.parent / "data" / "lens", package / "data" / "lens"):
-        if folder.is_dir():
-            return folder
-    raise MissingPartError(f"the lens data folder is missing (looked beside {package.name}/ and in it); reinstall isetval")
-
-
 @lru_cache(maxsize=1)
 def default_lens() -> RayTransferLens:
     """The project's own lens, computed from the prescription in ``data/lens/default_lens.toml``."""
-    return load_lens(data_folder() / DEFAULT_LENS)
+    return load_lens(data_folder() / "lens" / DEFAULT_LENS)
 
 
 def stated_facts(lens_name: str) -> StatedFacts:
     """What the stored statements (``data/lens/*_stated.toml``) say about a lens of this name; empty if nothing."""
-    try:
-        files = sorted(data_folder().glob("*_stated.toml"))
-    except MissingPartError:
-        return StatedFacts()
-    for file in files:
+    for file in sorted((data_folder() / "lens").glob("*_stated.toml")):
         content = tomllib.loads(file.read_text(encoding="utf-8"))
         if lens_name in content.get("lens_names", []):
             return _facts(content)

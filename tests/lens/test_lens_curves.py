@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isetval.lens.search import golden, least_blur, smooth_curve
-
-
-def test_golden_section_finds_the_minimum_of_a_kinked_convex_function() -> None:
-    # interval shrinks by 0.618 per step: 3 * 0.618^40 = 1.3e-8
-    assert golden(lambda x: max(-x, 2 * (x - 1)), -1.0, 2.0) == pytest.approx(2 / 3, abs=2e-8)
+from isetval.lens.focus import least_blur
+from isetval.lens.illumination import smooth_curve
 
 
 def test_least_blur_is_exact_for_a_hyperbola() -> None:

@@ -20,10 +20,10 @@ from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene
 from isetval.core.signal import Layer, Signal, Transfer
 from isetval.core.spectrum import Spectrum
-from isetval.scenes.render.render_passes import Progress, Render
-from isetval.scenes.render.rendering import render
-from isetval.scenes.render.scene_file import LoadedScene, parse_scene
-from isetval.scenes.render.spectra import LONGEST_NM, SHORTEST_NM
+from isetval.scenes.rendered.accumulation import Progress, Render
+from isetval.scenes.rendered.rendering import render
+from isetval.scenes.rendered.scene_file import LoadedScene, parse_scene
+from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
 
 Float = NDArray[np.float64]
 FINE_PX = 2_000_000
@@ -43,7 +43,7 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
     progress : callable, optional
         ``progress(done, total, words)`` after every pass.
     draw : int, optional
-        Add this draw of the render's error (`isetval.scenes.render.render_passes.Render.draws`).
+        Add this draw of the render's error (`isetval.scenes.rendered.accumulation.Render.draws`).
 
     Returns
     -------
