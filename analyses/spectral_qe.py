@@ -21,7 +21,7 @@ import numpy as np
 from isetval import Capture, read_dng
 from isetval.measure import chart, line_profile, spectral_qe
 from isetval.measure.color import predicted_responses
-from isetval.measure.color.reference import linear_rgb
+from isetval.measure.color.chart_layout import linear_rgb
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 LIGHTS = ("A", "CWF", "Day")

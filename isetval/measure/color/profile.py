@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError, MeasurementError
+from isetval.measure.color.repeated_frames import StripPixels, strip_over_frames
 
 Float = NDArray[np.float64]
 Pair = tuple[float, float]
@@ -74,36 +75,13 @@ class LineProfile:
     settings: Mapping[str, Any] = field(default_factory=dict)
     fixed_sigma_dn: Mapping[str, Float] = field(default_factory=dict)
 
-
-@dataclass(eq=False)
-class _Strip:
-    """Pixels of a plane near the line, summed over the frames.
-
-    ``image`` holds the plane about the line, ``inside`` which of its pixels belong, ``along_px`` and ``bin`` where those
-    lie; ``first`` and ``second`` are sums over the frames of their values and squares, less the bin's mean in that frame.
-    """
-
-    along_px: Float
-    bin: NDArray[np.intp]
-    inside: NDArray[np.bool_]
-    image: Float
-    clipped: NDArray[np.bool_]
-    first: Float
-    second: Float
-    frames: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class _Pixels:
-    """Pixels of a plane near the line: mean over the frames, spatial variance of it, temporal variance of one frame."""
-
-    along_px: Float
-    bin: NDArray[np.intp]
-    value_dn: Float
-    variance_dn2: Float
-    clipped: NDArray[np.bool_]
-    frames: int
-    frame_variance_dn2: Float
+    def __repr__(self) -> str:
+        levels = ", ".join(
+            f"{p} {np.nanmin(v):.1f}..{np.nanmax(v):.1f}" for p, v in self.value_dn.items() if p not in ("Gr", "Gb")
+        )
+        more = f", {len(self.segments)} segments" if self.segments else ""
+        clipped = f", {int(self.clipped.sum())} clipped" if self.clipped.any() else ""
+        return f"LineProfile({self.position_px.size} bins{clipped}{more}, DN above black: {levels})"
 
 
 def line_profile(
@@ -152,14 +130,9 @@ def line_profile(
     if one is None:
         raise InputError("no captures were given; a line needs at least one frame")
     first, last, width = _ends(one, start, end, width_px=width_px, box=box, axis=axis)
-    length = float(np.hypot(*(last - first)))
-    if not (step_px > 0 and width > 0 and length >= 2 * step_px):
-        raise InputError(
-            f"the line is {length:.1f} px long with bins of {step_px} px and width {width}; it needs at least two bins"
-        )
-    edges = np.arange(0, length + 1e-9, step_px)
+    edges = _bin_edges(first, last, width=width, step_px=step_px)
     middle = (edges[:-1] + edges[1:]) / 2
-    strips = _strips(itertools.chain((one,), frames), first, last, width=width, edges=edges)
+    strips = strip_over_frames(itertools.chain((one,), frames), first, last, width=width, edges=edges)
     values, sigmas, fixed, pixels = {}, {}, {}, {}
     clipped = np.zeros(middle.size, dtype=bool)
     for plane, strip in strips.items():
@@ -170,7 +143,7 @@ def line_profile(
         values["G"], sigmas["G"] = _green(values, sigmas)
         fixed["G"] = _green(values, fixed)[1]
     ratio, ratio_sigma = _ratios(values, sigmas, black_sigma_dn)
-    direction = (last - first) / length
+    direction = (last - first) / np.hypot(*(last - first))
     warnings = [f"{int(clipped.sum())} of {clipped.size} bins hold clipped pixels"] if clipped.any() else []
     return LineProfile(
         position_px=middle,
@@ -215,99 +188,17 @@ def _ends(
     return first, last, float(width_px)
 
 
-def _strips(frames: Iterable[Capture], first: Float, last: Float, *, width: float, edges: Float) -> dict[str, _Pixels]:
-    """Pixels of every plane within half the width of the line, over all frames."""
-    sums: dict[str, _Strip] = {}
-    shape = None
-    for capture in frames:
-        shape = shape or capture.mosaic.shape
-        if capture.mosaic.shape != shape:
-            raise InputError(f"frames of {shape} and {capture.mosaic.shape} pixels; a line needs frames of one window")
-        for plane in planes_of(capture):
-            _add_frame(sums, capture, plane, first, last, width=width, edges=edges)
-    direction = (last - first) / np.hypot(*(last - first))
-    return {plane: _averaged(strip, direction) for plane, strip in sums.items()}
-
-
-def _add_frame(
-    sums: dict[str, _Strip], capture: Capture, plane: str, first: Float, last: Float, *, width: float, edges: Float
-) -> None:
-    rows, cols = capture.mosaic.shape
-    low = np.floor(np.minimum(first, last) - width).astype(int)
-    high = np.ceil(np.maximum(first, last) + width).astype(int) + 1
-    box = (max(low[0], 0), min(high[0], rows), max(low[1], 0), min(high[1], cols))
-    view, origin, step = plane_view(capture, plane, box)
-    if plane not in sums:
-        sums[plane] = _empty_strip(view.shape, origin, step, first, last, width=width, edges=edges, plane=plane)
-    strip = sums[plane]
-    raw = view[strip.inside]
-    count = np.maximum(np.bincount(strip.bin), 1)
-    values = raw - (np.bincount(strip.bin, raw) / count)[strip.bin]
-    strip.image += view - plane_black_dn(capture, plane)
-    strip.clipped |= (raw >= capture.sensor.white_dn) | (raw == 0)
-    strip.first += values
-    strip.second += values**2
-    strip.frames += 1
-
-
-def _empty_strip(
-    shape: tuple[int, ...],
-    origin: tuple[int, int],
-    step: int,
-    first: Float,
-    last: Float,
-    *,
-    width: float,
-    edges: Float,
-    plane: str,
-) -> _Strip:
-    """Which pixels of a plane's view lie within half the width of the line, and in which bin."""
+def _bin_edges(first: Float, last: Float, *, width: float, step_px: float) -> Float:
+    """Borders of the bins, in pixels from the start."""
     length = float(np.hypot(*(last - first)))
-    direction = (last - first) / length
-    row = origin[0] + step * np.arange(shape[0])[:, None] - first[0]
-    col = origin[1] + step * np.arange(shape[1])[None, :] - first[1]
-    along = row * direction[0] + col * direction[1]
-    across = np.abs(col * direction[0] - row * direction[1])
-    inside = (along >= 0) & (along < length) & (across <= width / 2)
-    if not inside.any():
-        raise MeasurementError(f"the strip of {width} px holds no pixel of plane {plane}: widen it to at least 2 px")
-    place = along[inside]
-    index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, edges.size - 2)
-    clipped = np.zeros(place.size, dtype=bool)
-    return _Strip(place, index, inside, np.zeros(shape), clipped, np.zeros(place.size), np.zeros(place.size))
+    if not (step_px > 0 and width > 0 and length >= 2 * step_px):
+        raise InputError(
+            f"the line is {length:.1f} px long with bins of {step_px} px and width {width}; it needs at least two bins"
+        )
+    return np.arange(0, length + 1e-9, step_px)
 
 
-def _averaged(strip: _Strip, direction: Float) -> _Pixels:
-    image = strip.image / strip.frames
-    per_bin = np.bincount(strip.bin)[strip.bin]
-    # each bin's own mean takes one degree of freedom; a single frame tells nothing
-    scatter = strip.second - strip.first**2 / strip.frames
-    frame_variance = scatter / max(strip.frames - 1, 1) * per_bin / np.maximum(per_bin - 1, 1)
-    return _Pixels(
-        strip.along_px,
-        strip.bin,
-        image[strip.inside],
-        _local_variance(image, direction)[strip.inside],
-        strip.clipped,
-        strip.frames,
-        frame_variance,
-    )
-
-
-def _local_variance(values: Float, direction: Float) -> Float:
-    """Half the squared difference of neighbours across the line (same place on the line, hence little signal)."""
-    axis = 0 if abs(direction[1]) >= abs(direction[0]) else 1
-    if values.shape[axis] < 2:
-        axis = 1 - axis
-    if values.shape[axis] < 2:
-        return np.zeros_like(values)
-    square = np.diff(values, axis=axis) ** 2 / 2
-    before = np.concatenate([square, np.take(square, [-1], axis=axis)], axis=axis)
-    after = np.concatenate([np.take(square, [0], axis=axis), square], axis=axis)
-    return np.asarray((before + after) / 2)
-
-
-def _bins(strip: _Pixels, edges: Float) -> tuple[Float, Float, NDArray[np.int64]]:
+def _bins(strip: StripPixels, edges: Float) -> tuple[Float, Float, NDArray[np.int64]]:
     """Mean at each bin's middle, its sigma and pixels."""
     count = edges.size - 1
     pixels = np.bincount(strip.bin, minlength=count)
@@ -335,7 +226,7 @@ def _pooled(index: NDArray[np.intp], variance: Float, count: int) -> Float:
     return np.asarray(np.convolve(np.bincount(index, variance, minlength=count), window, mode="same") / np.maximum(pixels, 1))
 
 
-def _least_variance(strip: _Pixels, count: int) -> Float:
+def _least_variance(strip: StripPixels, count: int) -> Float:
     """Rounding's share of the variance of the mean: noise of a frame beyond it makes it as random as itself."""
     if strip.frames == 1:
         return np.full(count, ROUNDING_VARIANCE)
@@ -343,7 +234,7 @@ def _least_variance(strip: _Pixels, count: int) -> Float:
     return np.asarray(np.maximum(ROUNDING_VARIANCE - temporal, 0) + temporal / strip.frames)
 
 
-def _fixed_sigma(strip: _Pixels, sigma: Float) -> Float:
+def _fixed_sigma(strip: StripPixels, sigma: Float) -> Float:
     """What remains of the bins' sigma when the temporal noise of all frames is taken off."""
     if strip.frames == 1:
         return np.zeros_like(sigma)
@@ -387,7 +278,7 @@ def _ratios(
     return ratio, spread
 
 
-def _segment(strips: Mapping[str, _Pixels], segment: tuple[str, float, float], black_sigma_dn: float) -> ProfileSegment:
+def _segment(strips: Mapping[str, StripPixels], segment: tuple[str, float, float], black_sigma_dn: float) -> ProfileSegment:
     """Mean, sigma and slope of the pixels between two distances, and the ratios of the means."""
     name, start, end = segment
     mean, sigma, slope = {}, {}, {}

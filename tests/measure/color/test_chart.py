@@ -153,3 +153,10 @@ def test_bad_calls_are_refused():
         chart_patches_at(capture, [(0, 2, 0, 10)])
     with pytest.raises(InputError, match="does not fit"):
         chart_patches_at(capture, [(0, 20, 0, 1000)])
+
+
+def test_a_result_is_shown_in_a_line():
+    scene = ChartScene(rows=600, cols=840, center=(300.0, 420.0), pitch_px=85.0)
+    words = repr(chart(scene.capture(np.random.default_rng(8)), corners=_corners(scene)))
+    assert len(words) < 300
+    assert words.startswith("ChartResult(24 patches by corners")

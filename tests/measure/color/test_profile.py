@@ -95,3 +95,9 @@ def test_bad_calls_are_refused():
         line_profile(capture, box=(0, 10, 0, 10), axis="x")
     with pytest.raises(InputError, match="at least 4"):
         line_profile(capture, (20, 5), (20, 35), segments=[("x", 0, 1)])
+
+
+def test_a_result_is_shown_in_a_line():
+    dn = np.full((20, 40), 300.0)
+    result = line_profile(Capture.from_array(dn), box=(2, 18, 4, 36))
+    assert repr(result) == "LineProfile(16 bins, DN above black: R 236.0..236.0, B 236.0..236.0, G 236.0..236.0)"

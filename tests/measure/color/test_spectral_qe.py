@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from isetval.core.errors import InputError
 from isetval.measure.color import predicted_responses, spectral_qe
-from isetval.measure.color.constrained import inequality_lstsq
+from isetval.measure.color.qe_fit import inequality_lstsq
 
 WAVELENGTH_NM = np.arange(400.0, 701.0, 10.0)
 # the paper's matrix (Lyu et al., its equation for M)
@@ -166,3 +166,9 @@ def test_bad_calls_are_refused():
         spectral_qe(good, good)
     with pytest.raises(InputError, match=r"\(wavelengths, 3\)"):
         spectral_qe(good, np.ones((3, 24, 31)), qe=np.ones((30, 3)))
+
+
+def test_a_result_is_shown_in_a_line():
+    result = spectral_qe(predictions(np.random.default_rng(18)) @ M, predictions(np.random.default_rng(18)), sigma=1.0)
+    assert len(repr(result)) < 300
+    assert "0.5636 0.0807 0.0069" in repr(result)

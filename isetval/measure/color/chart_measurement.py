@@ -3,27 +3,136 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
-from isetval.core.errors import InputError, MeasurementError
-from isetval.measure.color.chartresult import ChartResult, NoiseLine
-from isetval.measure.color.finding import FoundChart, find_chart
-from isetval.measure.color.grid import from_centers, from_corners, handedness, inside_quad, patch_quads, turn_deg
-from isetval.measure.color.patches import (
-    DIFFERENCE_VARIANCE_FACTOR,
-    PatchRows,
-    difference_variance,
-    good_pixels,
+from isetval.core.capture import Capture, Roi, check_roi
+from isetval.core.errors import InputError
+from isetval.measure.color.chart_finding import FoundChart, find_chart
+from isetval.measure.color.chart_layout import (
+    PATCH_NAMES,
+    PATCHES,
+    from_centers,
+    from_corners,
+    handedness,
+    match_score,
+    patch_quads,
+    reading_orders,
+    turn_deg,
 )
-from isetval.measure.color.reference import PATCH_NAMES, arrangements, match_score
+from isetval.measure.color.patch_statistics import DIFFERENCE_VARIANCE_FACTOR, PatchRows, quad_rows
 
 Float = NDArray[np.float64]
+# of a patch's pixels at white: 3 sigma above the mean lie .0013 of a normal noise, cut there it moves the mean by 1e-4 sigma
 CLIPPED_SHARE = 0.002
+# between right order (.86 on the Canon 550D's chart, .90 on made ones) and wrong orders (below 0 on both)
 DOUBTFUL_SCORE = 0.75
+
+
+@dataclass(frozen=True)
+class NoiseLine:
+    """Pixel variance against mean over the patches: ``variance = intercept + slope x mean``.
+
+    ``slope_dn`` is the conversion gain in DN/e- where noise is shot and read noise only; ``chi2_dof`` above 1
+    has widened the sigmas.
+    """
+
+    slope_dn: float
+    slope_sigma_dn: float
+    intercept_dn2: float
+    intercept_sigma_dn2: float
+    chi2_dof: float
+    patches: int
+
+
+@dataclass(frozen=True, eq=False)
+class ChartResult:
+    """A measured chart.
+
+    Parameters
+    ----------
+    patches : PatchRows
+        Statistics, one row a patch, one column a plane; ``sigma_dn`` holds row noise too where it is significant.
+    names : tuple of str
+    corners_px : (patches, 4, 2)
+        (row, col) of each measured quadrilateral in pixels of the capture.
+    noise_lines : mapping
+        Mean-variance line of each plane, and of all together under ``"all"``.
+    found_by : str
+        ``finder``, ``corners`` or ``boxes``.
+    confidence, runner_up : float
+        Agreement of the patch colours with the chart (1 is perfect), and that of the next best reading direction.
+    grid_error : float
+        rms distance of the found centres from a projected grid, in patch pitches (NaN for boxes).
+    row_noise_dn : mapping of plane to float
+        Standard deviation of whole rows beyond pixel noise (0 where not significant).
+    """
+
+    patches: PatchRows
+    names: tuple[str, ...]
+    corners_px: Float
+    noise_lines: Mapping[str, NoiseLine]
+    found_by: str
+    confidence: float
+    runner_up: float
+    grid_error: float
+    mirrored: bool
+    turned_deg: float
+    row_noise_dn: Mapping[str, float]
+    warnings: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        brightest = dict(zip(self.planes, (float(v) for v in np.max(self.mean_dn, axis=0)), strict=True))
+        levels = ", ".join(f"{plane} {level:.1f}" for plane, level in brightest.items())
+        doubts = f", {len(self.warnings)} warnings" if self.warnings else ""
+        return (
+            f"ChartResult({len(self.names)} patches by {self.found_by}, colours agree {self.confidence:.2f}, "
+            f"brightest in DN: {levels}{doubts})"
+        )
+
+    @property
+    def planes(self) -> tuple[str, ...]:
+        """Plane names, in the order of the columns."""
+        return self.patches.planes
+
+    @property
+    def mean_dn(self) -> Float:
+        """(patches, planes), DN above black."""
+        return self.patches.mean_dn
+
+    @property
+    def sigma_dn(self) -> Float:
+        """Standard deviation of ``mean_dn``."""
+        return self.patches.sigma_dn
+
+    @property
+    def rgb(self) -> tuple[Float, Float]:
+        """Means and sigma, (patches, 3): R, mean green, B."""
+        return self.patches.rgb
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One dictionary a patch and plane, for tables and JSON."""
+        p = self.patches
+        return [
+            {
+                "patch": name,
+                "number": i + 1,
+                "plane": plane,
+                "mean_dn": float(p.mean_dn[i, j]),
+                "sigma_dn": float(p.sigma_dn[i, j]),
+                "noise_dn": float(p.noise_dn[i, j]),
+                "nonuniformity_dn": float(p.nonuniformity_dn[i, j]),
+                "pixels": int(p.pixels[i, j]),
+                "clipped_pixels": int(p.clipped_pixels[i, j]),
+                "bad_pixels": int(p.bad_pixels[i, j]),
+            }
+            for i, name in enumerate(self.names)
+            for j, plane in enumerate(p.planes)
+        ]
 
 
 def chart(
@@ -84,7 +193,7 @@ def chart(
         found = find_chart(capture)
         matrix, grid_error = from_centers(found.centers_px)
         quads, how = patch_quads(matrix, fraction), "finder"
-    patches, row_noise = _measure_quads(capture, quads)
+    patches, row_noise = quad_rows(capture, quads)
     return _finish(patches, quads, names, how=how, found=found, grid_error=grid_error, row_noise=row_noise, settings=settings)
 
 
@@ -95,77 +204,10 @@ def _from_boxes(
         check_roi(capture, tuple(box))
     edges = boxes - np.array([0, 1, 0, 1])
     quads = np.stack([edges[:, [0, 2]], edges[:, [0, 3]], edges[:, [1, 3]], edges[:, [1, 2]]], axis=1).astype(float)
-    patches, row_noise = _measure_quads(capture, quads)
+    patches, row_noise = quad_rows(capture, quads)
     return _finish(
         patches, quads, names, how="boxes", found=None, grid_error=float("nan"), row_noise=row_noise, settings=settings
     )
-
-
-def _measure_quads(capture: Capture, quads: Float) -> tuple[PatchRows, dict[str, float]]:
-    """Statistics of quadrilaterals (patches, 4, 2) in every plane, row noise added to sigma."""
-    rows, cols = capture.mosaic.shape
-    if quads.min() < -0.5 or quads[..., 0].max() > rows - 0.5 or quads[..., 1].max() > cols - 0.5:
-        raise InputError(
-            f"the patches span rows {quads[..., 0].min():.0f}..{quads[..., 0].max():.0f} and columns "
-            f"{quads[..., 1].min():.0f}..{quads[..., 1].max():.0f}, outside the capture of {rows} x {cols} pixels"
-        )
-    planes = planes_of(capture)
-    columns, row_noise = [], {}
-    for plane in planes:
-        table = [_quad_statistics(capture, plane, quad) for quad in quads]
-        values = [np.array(v) for v in zip(*table, strict=True)]
-        excess = _row_variance(values[7], values[8])
-        row_noise[plane] = float(np.sqrt(excess))
-        values[1] = np.sqrt(values[1] ** 2 + excess / values[9])
-        columns.append(values[:7])
-    return PatchRows(planes, *(np.stack([c[k] for c in columns], axis=1) for k in range(7))), row_noise
-
-
-def _quad_statistics(capture: Capture, plane: str, quad: Float) -> tuple[float, ...]:
-    """Seven columns of PatchRows, then row-mean variance, its pixel share, and the number of rows."""
-    step = 1 if capture.sensor.cfa == "MONO" else 2
-    low, high = np.floor(quad.min(axis=0)).astype(int), np.ceil(quad.max(axis=0)).astype(int) + 1
-    shape = capture.mosaic.shape
-    box = (max(low[0], 0), min(high[0], shape[0]), max(low[1], 0), min(high[1], shape[1]))
-    view, first, _ = plane_view(capture, plane, box)
-    row = first[0] + step * np.arange(view.shape[0], dtype=float)[:, None]
-    col = first[1] + step * np.arange(view.shape[1], dtype=float)[None, :]
-    mask = inside_quad(quad, row, col)
-    if mask.sum() < 9:
-        raise MeasurementError(
-            f"a patch at rows {box[0]}..{box[1]}, columns {box[2]}..{box[3]} holds {int(mask.sum())} pixels of plane {plane}; "
-            "it needs at least 9: come closer or give a larger fraction"
-        )
-    values = view.astype(np.float64)
-    variance = float(difference_variance(values[None], mask[None])[0])
-    good = good_pixels(values, variance, mask)
-    sample = values[good]
-    clipped = int(((view >= capture.sensor.white_dn) | (view == 0))[mask].sum())
-    excess = float(sample.var(ddof=1)) - variance
-    width = mask.sum(axis=1)
-    full = np.flatnonzero(width >= 0.5 * width.max())
-    means = np.where(mask, values, 0).sum(axis=1)[full] / width[full]
-    scatter = float(np.mean(np.diff(means) ** 2) / 2) if full.size > 2 else 0.0
-    return (
-        float(sample.mean()) - plane_black_dn(capture, plane),
-        float(np.sqrt(variance / sample.size)),
-        float(np.sqrt(variance)),
-        float(np.sign(excess) * np.sqrt(abs(excess))),
-        sample.size,
-        clipped,
-        int(mask.sum()) - sample.size,
-        scatter,
-        variance / float(width[full].mean()),
-        float(full.size),
-    )
-
-
-def _row_variance(scatter: Float, own: Float) -> float:
-    """Variance of whole rows beyond pixel noise, from the patches with least noise; 0 where not significant."""
-    quiet = np.argsort(own)[: max(6, own.size // 2)]
-    excess = scatter[quiet] - own[quiet]
-    mean, error = float(excess.mean()), float(excess.std(ddof=1) / np.sqrt(excess.size)) if excess.size > 1 else 0.0
-    return mean if mean > 3 * error else 0.0
 
 
 def _finish(
@@ -183,15 +225,17 @@ def _finish(
     count = len(patches.mean_dn)
     if names is not None and len(names) != count:
         raise InputError(f"{len(names)} names for {count} patches; give one for each")
-    labels = tuple(names) if names is not None else PATCH_NAMES if count == 24 else tuple(f"patch {k + 1}" for k in range(count))
+    labels = (
+        tuple(names) if names is not None else PATCH_NAMES if count == PATCHES else tuple(f"patch {k + 1}" for k in range(count))
+    )
     centers = quads.mean(axis=1)
     scores = {}
-    if count == 24 and len(patches.planes) == 4:
+    if count == PATCHES and len(patches.planes) == 4:
         rgb = patches.rgb[0]
-        scores = {name: match_score(rgb[order]) for name, order in arrangements().items()}
+        scores = {name: match_score(rgb[order]) for name, order in reading_orders().items()}
     confidence = scores.get("upright", float("nan"))
     others = [v for k, v in scores.items() if k != "upright"]
-    mirrored = bool(count == 24 and how != "boxes" and not handedness(centers))
+    mirrored = bool(count == PATCHES and how != "boxes" and not handedness(centers))
     return ChartResult(
         patches=patches,
         names=labels,
@@ -202,7 +246,7 @@ def _finish(
         runner_up=max(others) if others else float("nan"),
         grid_error=grid_error,
         mirrored=mirrored,
-        turned_deg=turn_deg(centers) if count == 24 else float("nan"),
+        turned_deg=turn_deg(centers) if count == PATCHES else float("nan"),
         row_noise_dn=row_noise,
         warnings=tuple(_warnings(patches, labels, scores, mirrored=mirrored, found=found)),
         settings=settings,

@@ -1,7 +1,8 @@
-"""Patch means per colour plane with their noise: rectangular boxes, many at once."""
+"""Patch means per colour plane with their noise: rectangular boxes, many at once, and quadrilaterals of a chart."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,15 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
-from isetval.core.errors import InputError
+from isetval.core.errors import InputError, MeasurementError
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Bool = NDArray[np.bool_]
-CUT_SIGMAS = 4.0
-# E[d^2 | |d| < 4 sigma] / sigma^2 of a normal deviate
-CUT_SHARE = 1 - 2 * CUT_SIGMAS * 1.3383022576488537e-4 / 0.9999366575163338
-BAD_SIGMAS = 6.0
+CUT_SIGMAS = 4.0  # of neighbour differences: keeps all but .006 % of the noise, drops what bad pixels and specks add
+# E[d^2 | |d| < 4 sigma] / sigma^2 of a normal deviate: 1 - 2 x density / probability
+CUT_SHARE = 1 - 2 * CUT_SIGMAS * math.exp(-(CUT_SIGMAS**2) / 2) / math.sqrt(2 * math.pi) / math.erf(CUT_SIGMAS / math.sqrt(2))
+CHI2_MEDIAN = 0.45493642311957283  # of one degree of freedom
+BAD_SIGMAS = 6.0  # one good pixel in 5e8 lies beyond
 LEAST_VARIANCE = 1 / 12  # of the rounding to whole DN
 # relative variance of the variance from row and column neighbour differences is 2.5 / pixels
 DIFFERENCE_VARIANCE_FACTOR = 2.5
@@ -139,7 +141,7 @@ def difference_variance(values: Float, mask: Bool | None = None, *, least: float
 
 def _cut_variance(square: Float, plain: float) -> float:
     """Half the mean of the squared differences below 4 robust sigma, corrected for the cut."""
-    robust = float(np.nanmedian(square)) / 0.45493642311957283
+    robust = float(np.nanmedian(square)) / CHI2_MEDIAN
     limit = CUT_SIGMAS**2 * robust if robust > 0.5 else max(CUT_SIGMAS**2 * plain, 1.0)
     inside = square[square <= limit]
     return float(inside.mean()) / (2 * CUT_SHARE) if inside.size else plain / 2
@@ -190,3 +192,86 @@ def good_pixels(values: Float, variance: float, mask: Bool | None = None) -> Boo
             break
         use = fresh
     return np.asarray(use)
+
+
+def quad_rows(capture: Capture, quads: Float) -> tuple[PatchRows, dict[str, float]]:
+    """Statistics of quadrilaterals (patches, 4, 2) in every plane, row noise added to sigma."""
+    rows, cols = capture.mosaic.shape
+    if quads.min() < -0.5 or quads[..., 0].max() > rows - 0.5 or quads[..., 1].max() > cols - 0.5:
+        raise InputError(
+            f"the patches span rows {quads[..., 0].min():.0f}..{quads[..., 0].max():.0f} and columns "
+            f"{quads[..., 1].min():.0f}..{quads[..., 1].max():.0f}, outside the capture of {rows} x {cols} pixels"
+        )
+    planes = planes_of(capture)
+    columns, row_noise = [], {}
+    for plane in planes:
+        table = [_quad_statistics(capture, plane, quad) for quad in quads]
+        values = [np.array(v) for v in zip(*table, strict=True)]
+        excess = _row_variance(values[7], values[8])
+        row_noise[plane] = float(np.sqrt(excess))
+        values[1] = np.sqrt(values[1] ** 2 + excess / values[9])
+        columns.append(values[:7])
+    return PatchRows(planes, *(np.stack([c[k] for c in columns], axis=1) for k in range(7))), row_noise
+
+
+def _quad_statistics(capture: Capture, plane: str, quad: Float) -> tuple[float, ...]:
+    """Seven columns of PatchRows, then row-mean variance, its pixel share, and the number of rows."""
+    step = 1 if capture.sensor.cfa == "MONO" else 2
+    low, high = np.floor(quad.min(axis=0)).astype(int), np.ceil(quad.max(axis=0)).astype(int) + 1
+    shape = capture.mosaic.shape
+    box = (max(low[0], 0), min(high[0], shape[0]), max(low[1], 0), min(high[1], shape[1]))
+    view, first, _ = plane_view(capture, plane, box)
+    row = first[0] + step * np.arange(view.shape[0], dtype=float)[:, None]
+    col = first[1] + step * np.arange(view.shape[1], dtype=float)[None, :]
+    mask = _inside_quad(quad, row, col)
+    if mask.sum() < 9:
+        raise MeasurementError(
+            f"a patch at rows {box[0]}..{box[1]}, columns {box[2]}..{box[3]} holds {int(mask.sum())} pixels of plane {plane}; "
+            "it needs at least 9: come closer or give a larger fraction"
+        )
+    values = view.astype(np.float64)
+    variance = float(difference_variance(values[None], mask[None])[0])
+    good = good_pixels(values, variance, mask)
+    sample = values[good]
+    clipped = int(((view >= capture.sensor.white_dn) | (view == 0))[mask].sum())
+    excess = float(sample.var(ddof=1)) - variance
+    return (
+        float(sample.mean()) - plane_black_dn(capture, plane),
+        float(np.sqrt(variance / sample.size)),
+        float(np.sqrt(variance)),
+        float(np.sign(excess) * np.sqrt(abs(excess))),
+        sample.size,
+        clipped,
+        int(mask.sum()) - sample.size,
+        *_row_scatter(values, mask, variance),
+    )
+
+
+def _row_scatter(values: Float, mask: Bool, variance: float) -> tuple[float, float, float]:
+    """Half the mean square step from row mean to row mean, what pixel noise gives of it, and the number of rows.
+
+    Rows that hold less than half of the widest one's pixels (corners of a turned patch) are left out.
+    """
+    width = mask.sum(axis=1)
+    full = np.flatnonzero(width >= 0.5 * width.max())
+    means = np.where(mask, values, 0).sum(axis=1)[full] / width[full]
+    scatter = float(np.mean(np.diff(means) ** 2) / 2) if full.size > 2 else 0.0
+    return scatter, variance / float(width[full].mean()), float(full.size)
+
+
+def _row_variance(scatter: Float, own: Float) -> float:
+    """Variance of whole rows beyond pixel noise, from the patches with least noise; 0 where not significant."""
+    quiet = np.argsort(own)[: max(6, own.size // 2)]
+    excess = scatter[quiet] - own[quiet]
+    mean, error = float(excess.mean()), float(excess.std(ddof=1) / np.sqrt(excess.size)) if excess.size > 1 else 0.0
+    return mean if mean > 3 * error else 0.0
+
+
+def _inside_quad(quad: Float, row: Float, col: Float) -> NDArray[np.bool_]:
+    """Whether points (row, col), broadcast, lie inside a convex quadrilateral (4, 2)."""
+    signs = []
+    for k in range(4):
+        a, b = quad[k], quad[(k + 1) % 4]
+        signs.append((b[0] - a[0]) * (col - a[1]) - (b[1] - a[1]) * (row - a[0]))
+    stacked = np.stack(np.broadcast_arrays(*signs))
+    return np.asarray(np.all(stacked >= 0, axis=0) | np.all(stacked <= 0, axis=0))
