@@ -70,15 +70,15 @@ def content_hash(content: Any) -> str:
 
 def _pieces(value: Any) -> Iterator[bytes]:
     """The content as a stream of bytes in which no two values look alike: a kind, a length, the value."""
-    if value is None or isinstance(value, bool | int | float | str | bytes | Path):
+    if isinstance(value, np.generic):
+        yield from _pieces(value.item())
+    elif value is None or isinstance(value, bool | int | float | str | bytes | Path):
         data = value if isinstance(value, bytes) else (value if isinstance(value, str) else repr(value)).encode()
         yield f"{type(value).__name__}{len(data)}:".encode()
         yield data
     elif isinstance(value, np.ndarray):
         yield f"array{value.dtype.str}{value.shape}:".encode()
         yield np.ascontiguousarray(value).tobytes()
-    elif isinstance(value, np.generic):
-        yield from _pieces(value.item())
     elif isinstance(value, Mapping):
         yield f"map{len(value)}:".encode()
         for key in sorted(value, key=str):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import isetval.effects as effects
-from isetval.camera.model import occurrences
+from isetval.camera.chain import occurrences
 from isetval.camera.model_file import load_model
 from isetval.core.context import Context
 from isetval.core.effect import Effect
