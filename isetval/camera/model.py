@@ -154,7 +154,7 @@ def check_chain(name: str, effects: tuple[Effect, ...]) -> None:
                     f"model {name}: {effect.name} acts on colour channels and stands behind cfa; move it in front of cfa"
                 )
             unit = effect.gives
-        seen_cfa = seen_cfa or effect.name == "cfa"
+        seen_cfa = seen_cfa or effect.makes_mosaic
         stage, previous = rank, effect.name
     if unit != "dn":
         raise InputError(f"model {name}: its last effect gives {unit}; a camera ends in dn (conversion_gain, quantization)")

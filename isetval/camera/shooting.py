@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
-from isetval.core.campaign import Campaign, Nuisance, Shot
+from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.streams import stream, word
@@ -41,7 +41,7 @@ def simulate(
     seed : int
         Same seed, same bits.  Each effect has streams of its own.
     values : mapping, optional
-        Values of nuisances by group label (`Nuisance.group`); all others are 0.
+        Values of nuisances by label (`Campaign.unknowns`); all others are 0.
     draw : bool
         Draw the nuisances that ``values`` does not fix from their priors.
     sensor_seed : int, optional
@@ -95,7 +95,7 @@ def shoot(
         mean_electrons(camera, setup, progress=rendering)
         frames = expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
         yield shot, frames
-        if camera.effect("lag") is not None:
+        if any(effect.needs_previous for effect in camera.effects):
             previous = float(mean_electrons(camera, setup).mean())
 
 
@@ -114,11 +114,8 @@ def check_sensor(model: CameraModel, plan: Campaign) -> None:
 
 def camera_with(model: CameraModel, plan: Campaign, values: Mapping[str, float]) -> CameraModel:
     """The model with the campaign's camera tolerances (nuisances ``effect.parameter``) applied."""
-    changes: dict[str, float] = {}
-    for nuisance in plan.nuisances:
-        label = f"{nuisance.parameter}@{nuisance.scope}:"
-        if "." in nuisance.parameter and label in values:
-            changes[nuisance.parameter] = model.value(nuisance.parameter) + values[label]
+    moved = [p for p in plan.unknowns() if p.owner and p.label in values] if values else []
+    changes = {p.key: model.value(p.key) + values[p.label] for p in moved}
     return model.with_values(changes) if changes else model
 
 
@@ -126,35 +123,17 @@ def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotS
     """A shot with its light and the sum of its nuisance values over all scopes."""
     nuisance: dict[str, float] = {}
     for prior in plan.nuisances:
-        if "." in prior.parameter or prior.scope == "frame" or not prior.applies_to(shot):
+        if prior.of_camera or prior.scope == "frame" or not prior.applies_to(shot):
             continue
-        value = values.get(prior.group(shot), 0.0)
+        value = values.get(prior.unknown(shot).label, 0.0)
         if value:
             nuisance[prior.parameter] = nuisance.get(prior.parameter, 0.0) + value
     return ShotSetup(shot, plan.lights.get(shot.light or ""), nuisance)
 
 
-def nuisance_groups(plan: Campaign) -> dict[str, Nuisance]:
-    """All values that share a label: label to prior (frame scope left out: it is marginalised)."""
-    groups: dict[str, Nuisance] = {}
-    for prior in plan.nuisances:
-        if prior.scope == "frame":
-            continue
-        if "." in prior.parameter:
-            groups[f"{prior.parameter}@{prior.scope}:"] = prior
-            continue
-        for shot in plan.shots:
-            if prior.applies_to(shot):
-                groups[prior.group(shot)] = prior
-    return groups
-
-
 def draw_nuisances(plan: Campaign, seed: int) -> dict[str, float]:
-    """One draw of every nuisance from its prior; each label has its own stream."""
-    return {
-        label: prior.sigma * stream(seed, word("nuisance"), word(label)).standard_normal()
-        for label, prior in nuisance_groups(plan).items()
-    }
+    """One draw of every nuisance from its prior, by label; each has its own stream."""
+    return {p.label: (p.prior or 0.0) * stream(seed, word("nuisance"), word(p.label)).standard_normal() for p in plan.unknowns()}
 
 
 def frame_levels(plan: Campaign, shot: Shot, seed: int) -> Float:
@@ -162,5 +141,6 @@ def frame_levels(plan: Campaign, shot: Shot, seed: int) -> Float:
     out = np.ones(shot.frames)
     for prior in plan.nuisances:
         if prior.scope == "frame" and prior.parameter == "light_level" and prior.applies_to(shot):
-            out *= 1 + prior.sigma * stream(seed, word("nuisance"), word(prior.group(shot))).standard_normal(shot.frames)
+            rng = stream(seed, word("nuisance"), word(prior.unknown(shot).label))
+            out *= 1 + prior.sigma * rng.standard_normal(shot.frames)
     return out

@@ -10,6 +10,8 @@ from typing import Any
 
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
+from isetval.core.parameter import NuisanceKind, Parameter, split_key
+from isetval.core.region import Window
 from isetval.core.scene import Target
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.spectrum import Spectrum
@@ -17,18 +19,18 @@ from isetval.core.spectrum import Spectrum
 ROLES = ("dark", "flat", "edge", "chart", "scene")
 SCOPES = ("campaign", "measurement session", "set-up", "frame")
 SHOT_NUISANCES = {
-    "light_level": ("relative", "radiance of the light times (1 + value)"),
-    "light_tilt_x": ("relative", "rise of the light along x from the middle to the end of the half diagonal (flats)"),
-    "light_tilt_y": ("relative", "rise of the light along y from the middle to the end of the half diagonal (flats)"),
-    "light_radial": ("relative", "rise of the light with the square of the field radius, at the corner (flats)"),
-    "spectrum_tilt": ("relative per 100 nm", "tilt of the light's spectrum around 550 nm"),
-    "focus_um": ("um", "shift of the sensor from the stated focus"),
-    "edge_shift_px": ("px", "shift of an edge along its normal"),
-    "edge_angle_deg": ("deg", "turn of an edge"),
-    "target_tilt_x": ("relative", "rise of a target's brightness along x from its middle to the window's border"),
-    "target_tilt_y": ("relative", "rise of a target's brightness along y from its middle to the window's border"),
-    "dark_reflectance": ("reflectance", "reflectance added to black elements"),
-    "wall_albedo": ("relative", "reflectance of the side walls of a rendered scene times (1 + value)"),
+    "light_level": NuisanceKind("relative", "radiance of the light times (1 + value)"),
+    "light_tilt_x": NuisanceKind("relative", "rise of the light along x from the middle to the end of the half diagonal (flats)"),
+    "light_tilt_y": NuisanceKind("relative", "rise of the light along y from the middle to the end of the half diagonal (flats)"),
+    "light_radial": NuisanceKind("relative", "rise of the light with the square of the field radius, at the corner (flats)"),
+    "spectrum_tilt": NuisanceKind("relative per 100 nm", "tilt of the light's spectrum around 550 nm"),
+    "focus_um": NuisanceKind("um", "shift of the sensor from the stated focus", curved=True, focus=True),
+    "edge_shift_px": NuisanceKind("px", "shift of an edge along its normal", curved=True),
+    "edge_angle_deg": NuisanceKind("deg", "turn of an edge", curved=True),
+    "target_tilt_x": NuisanceKind("relative", "rise of a target's brightness along x from its middle to the window's border"),
+    "target_tilt_y": NuisanceKind("relative", "rise of a target's brightness along y from its middle to the window's border"),
+    "dark_reflectance": NuisanceKind("reflectance", "reflectance added to black elements"),
+    "wall_albedo": NuisanceKind("relative", "reflectance of the side walls of a rendered scene times (1 + value)"),
 }
 
 
@@ -61,7 +63,7 @@ class Nuisance:
 
     def __post_init__(self) -> None:
         where = f"nuisance {self.parameter}"
-        if self.parameter not in SHOT_NUISANCES and "." not in self.parameter:
+        if self.parameter not in SHOT_NUISANCES and not self.of_camera:
             known = ", ".join(SHOT_NUISANCES)
             raise InputError(f"{where}: unknown; it needs one of {known}, or effect.parameter of the camera model")
         if not self.sigma > 0:
@@ -70,7 +72,7 @@ class Nuisance:
             raise InputError(f"{where}: scope is {self.scope!r}; it needs one of {', '.join(SCOPES)}")
         if self.distribution != "normal":
             raise InputError(f"{where}: distribution is {self.distribution!r}; only 'normal' is known")
-        if "." in self.parameter and self.scope == "frame":
+        if self.of_camera and self.scope == "frame":
             raise InputError(f"{where}: a camera parameter cannot have scope 'frame'; use campaign or measurement session")
         if unknown := set(self.roles) - set(ROLES):
             raise InputError(f"{where}: role {unknown.pop()!r} is unknown; it needs some of {', '.join(ROLES)}")
@@ -79,18 +81,36 @@ class Nuisance:
         """Whether the shot is touched by this nuisance."""
         return (not self.roles or shot.role in self.roles) and (not self.lights or (shot.light or "") in self.lights)
 
-    def group(self, shot: Shot) -> str:
-        """The label of the value that the shot shares with others."""
-        owner = {"campaign": "", "measurement session": shot.measurement_session, "set-up": shot.setup, "frame": shot.name}
-        restriction = ",".join((*self.roles, *self.lights))
-        return f"{self.parameter}@{self.scope}:{owner[self.scope]}" + (f"[{restriction}]" if restriction else "")
+    @property
+    def of_camera(self) -> bool:
+        """Whether it is a tolerance of a camera parameter, which all shots share."""
+        return "." in self.parameter
+
+    def unknown(self, shot: Shot | None = None) -> Parameter:
+        """The value that ``shot`` shares with others (a tolerance of the camera: with all)."""
+        owner, name = split_key(self.parameter)
+        if self.of_camera or shot is None:
+            return Parameter(name, owner, self.scope, unit=self.unit, prior=self.sigma, step=self.sigma)
+        shared = {"campaign": "", "measurement session": shot.measurement_session, "set-up": shot.setup, "frame": shot.name}
+        kind = SHOT_NUISANCES[self.parameter]
+        return Parameter(
+            name,
+            scope=self.scope,
+            group=shared[self.scope],
+            only=(*self.roles, *self.lights),
+            unit=self.unit or kind.unit,
+            prior=self.sigma,
+            step=self.sigma,
+            curved=kind.curved,
+            focus=kind.focus,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
     """One set-up at one exposure with ``frames`` frames.
 
-    ``window`` is (row0, col0, rows, cols) on the sensor.  ``light_level`` scales the light's radiance
+    ``window`` is (row0, col0, rows, cols) on the sensor, a `Window` or four numbers.  ``light_level`` scales the light's radiance
     as stated by the laboratory.  ``focus_um`` is the stated shift of the sensor from best focus,
     ``distance_m`` that of the target.  ``repeat_of`` names the shot that this one repeats with a
     newly made set-up.
@@ -105,7 +125,7 @@ class Shot:
     light: str | None = None
     light_level: float = 1.0
     rotation_deg: float = 0.0
-    window: tuple[int, int, int, int] | None = None
+    window: Window | None = None
     target: Target | None = None
     focus_um: float = 0.0
     distance_m: float | None = None
@@ -123,6 +143,8 @@ class Shot:
             raise InputError(f"shot {self.name}: a shot of role {self.role} needs a target; name one of the [target] tables")
         if not self.setup:
             object.__setattr__(self, "setup", self.name)
+        if self.window is not None and not isinstance(self.window, Window):
+            object.__setattr__(self, "window", Window.of(self.window))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,3 +206,18 @@ class Campaign:
     def as_plan(self) -> Campaign:
         """The campaign without its captures."""
         return replace(self, captures={})
+
+    def unknowns(self) -> tuple[Parameter, ...]:
+        """Every value that the laboratory does not know exactly, once for all shots that share it.
+
+        Frame scope is left out: what changes from frame to frame is marginalised, not fitted.
+        """
+        out: dict[str, Parameter] = {}
+        for prior in self.nuisances:
+            if prior.scope == "frame":
+                continue
+            shots: tuple[Shot | None, ...] = (None,) if prior.of_camera else tuple(s for s in self.shots if prior.applies_to(s))
+            for shot in shots:
+                parameter = prior.unknown(shot)
+                out[parameter.label] = parameter
+        return tuple(out.values())

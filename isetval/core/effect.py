@@ -17,6 +17,9 @@ from isetval.core.signal import Signal
 
 STAGES = ("scene", "optics", "pixel", "exposure", "electronics", "file")
 Random = Literal["none", "sensor", "frame"]
+UNTOUCHED = ("dark", "flat", "edge", "chart", "illumination")
+"""What an effect may say it leaves alone: darks, flats in the middle of the field, the shape of an edge behind its levels,
+patches of a chart in the middle of the field, the shape of the fall-off."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +88,10 @@ class Effect:
     A subclass states its stable ``name``, ``stage``, the unit it acts on and gives, whether it draws
     random numbers per sensor or per frame, and implements `apply` (or `apply_scene` for the scene
     stage).  ``order`` sorts effects of one stage when a model puts one in; ``must_not_change`` names
-    the metric families it leaves alone; ``few`` says that its pattern is a few pixels or lines of a specimen,
-    so that one draw says little of what to expect.  With every parameter at its null it must be the identity.
+    what it leaves alone, of `UNTOUCHED`; ``rare`` says that its pattern is a few pixels or lines of a specimen,
+    so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
+    distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
+    colour channels end here.  With every parameter at its null it must be the identity.
     """
 
     name: ClassVar[str] = ""
@@ -99,7 +104,11 @@ class Effect:
     reference: ClassVar[str] = ""
     candidate: ClassVar[bool] = True
     halo_px: ClassVar[int] = 0
-    few: ClassVar[Literal["", "pixels", "lines"]] = ""
+    rare: ClassVar[bool] = False
+    step_share: ClassVar[float] = 0.2
+    needs_previous: ClassVar[bool] = False
+    makes_mosaic: ClassVar[bool] = False
+    must_not_change: ClassVar[tuple[str, ...]] = ()
     uses_mean_irradiance: ClassVar[bool] = False
 
     source: str = ""

@@ -24,7 +24,8 @@ class Metric:
     ``family`` groups metrics that belong together in tables and plots (``flat_mean``,
     ``flat_variance``, ``mtf`` ...).  ``summary`` marks numbers derived from other rows (a conversion
     gain from means and variances): they are for people and for stored-metric regressions, and are
-    left out of the residual vector, where they would count the same data twice.
+    left out of the residual vector, where they would count the same data twice.  ``count`` marks the root
+    of a number of rare things (2 sqrt(n + 3/8), Anscombe): not normal where there are none.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Metric:
     patch: str = ""
     frame: int | None = None
     summary: bool = False
+    count: bool = False
     reason: str = ""
 
     def key(self) -> tuple[Any, ...]:
@@ -60,19 +62,35 @@ METRIC_FIELDS = tuple(f.name for f in fields(Metric))
 KEY_FIELDS = ("name", "channel", "shot", "region", "frequency_cy_px", "patch", "frame")
 
 
+@dataclass(frozen=True)
+class Differences:
+    """How differences of a block's rows between two models are simulated with common random numbers.
+
+    ``one_frame``: the rows are means, and one frame tells the difference that many would; ``noise_free``: noise moves
+    to other phases with what is measured (an edge), so that only without it both sides stay comparable; ``draws``: how
+    many specimens the expectation of a rare random pattern is taken over, where noise itself is measured.
+    """
+
+    one_frame: bool = False
+    noise_free: bool = False
+    draws: int = 1
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """The metrics of one shot (or one derived group) with their joint sampling covariance.
 
     ``correlation`` is (n, n) or None for independent rows.  ``shared`` maps the label of a random
     number that other blocks share too (one fixed pattern seen at several exposures) to its loading
-    on each row, in the row's unit per standard deviation; ``sigma`` does not contain it.
+    on each row, in the row's unit per standard deviation; ``sigma`` does not contain it.  ``differences`` says how
+    two models are compared in these rows.
     """
 
     metrics: tuple[Metric, ...]
     correlation: Float | None = None
     shared: Mapping[str, Float] = field(default_factory=dict)
     choices: Mapping[str, Any] = field(default_factory=dict)
+    differences: Differences = Differences()
 
     def __post_init__(self) -> None:
         n = len(self.metrics)
@@ -167,4 +185,5 @@ def _cut(block: Block, rows: Sequence[int]) -> Block:
         correlation=None if block.correlation is None else block.correlation[np.ix_(index, index)],
         shared={label: loading[index] for label, loading in block.shared.items()},
         choices=block.choices,
+        differences=block.differences,
     )

@@ -19,6 +19,7 @@ from isetval.core.errors import InputError
 
 Float = NDArray[np.float64]
 UNITS = ("radiance", "irradiance", "electron", "dn")
+SPECTRAL_UNITS = ("radiance", "irradiance")
 
 Transfer = Callable[[Float, Float, Float], Float]
 """Optical transfer function (fx_cy_px, fy_cy_px, wavelength_nm) ; complex where the blur is not even.  Arguments broadcast."""
@@ -49,6 +50,18 @@ class Layer:
 
 
 @dataclass(frozen=True, eq=False)
+class Filters:
+    """How the colour filters differ from their tables: stated by effects in front of the quantum efficiency, which applies it.
+
+    ``leak`` is a quantum efficiency added beyond the infrared-cut filter, in electrons per photon; ``shift_nm`` moves the
+    curves, and broadcasts to (rows, cols) (None: nowhere).
+    """
+
+    leak: float = 0.0
+    shift_nm: Float | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Signal:
     """Light or charge on a window.
 
@@ -63,6 +76,7 @@ class Signal:
     wavelength_nm: Float | None = None
     transfers: tuple[Transfer, ...] = ()
     pupil: Pupil | None = None
+    filters: Filters = Filters()
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -107,9 +121,21 @@ class Signal:
         """The signal imaged by another pupil."""
         return replace(self, pupil=pupil)
 
+    def filtered(self, *, leak: float = 0.0, shift_nm: Float | None = None) -> Signal:
+        """The signal in front of changed colour filters; further changes add up."""
+        before = self.filters.shift_nm
+        shift = before if shift_nm is None else shift_nm if before is None else before + shift_nm
+        return replace(self, filters=Filters(self.filters.leak + leak, shift))
+
     def with_values(self, values: Float, unit: str | None = None) -> Signal:
-        """Sampled ``values`` in place of the layers; structures and transfers are spent."""
-        return Signal((Layer(values),), unit or self.unit, self.shape, None)
+        """Sampled ``values`` in place of the layers; structures and transfers are spent.
+
+        Light that stays light keeps its wavelengths and what is stated of the filters; electrons have met both.
+        """
+        unit = unit or self.unit
+        if unit in SPECTRAL_UNITS:
+            return Signal((Layer(values),), unit, self.shape, self.wavelength_nm, filters=self.filters)
+        return Signal((Layer(values),), unit, self.shape)
 
 
 def _product(transfers: tuple[Transfer, ...]) -> Transfer | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,24 +20,8 @@ from isetval.core.spectrum import Spectrum, read_spectra
 Float = NDArray[np.float64]
 PLANCK_J_S = 6.62607015e-34
 LIGHT_M_PER_S = 299792458.0
-LEAK_ABOVE_NM = 700.0
+LEAK_ABOVE_NM = 700.0  # where the infrared-cut filter of a camera has closed
 CHANNELS = ("R", "G", "B")
-
-
-@dataclass(frozen=True, eq=False)
-class FilteredSignal(Signal):
-    """Irradiance that meets changed filters: a quantum efficiency raised by ``leak`` above 700 nm and moved by ``shift_nm``."""
-
-    leak: float = 0.0
-    shift_nm: Float | None = None
-
-
-def _filtered(signal: Signal, *, leak: float = 0.0, shift_nm: Float | None = None) -> FilteredSignal:
-    """The signal with further changes of the filters."""
-    parts: dict[str, Any] = {field.name: getattr(signal, field.name) for field in fields(Signal)}
-    before = getattr(signal, "shift_nm", None)
-    shift = before if shift_nm is None else shift_nm if before is None else before + shift_nm
-    return FilteredSignal(**parts, leak=getattr(signal, "leak", 0.0) + leak, shift_nm=shift)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +45,8 @@ class CfaAngleShift(Effect):
     delta_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=5.0, doc="shift of the QE at the corner")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Mark the light for quantum_efficiency."""
-        return _filtered(signal, shift_nm=self.delta_nm * context.field_radius() ** 2) if self.delta_nm else signal
+        """State the shift for quantum_efficiency."""
+        return signal.filtered(shift_nm=self.delta_nm * context.field_radius() ** 2) if self.delta_nm else signal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +68,8 @@ class IrLeak(Effect):
     eps: float = parameter(0.0, unit="e-/photon", low=0.0, high=1.0, tau=0.02, doc="quantum efficiency added above 700 nm")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Mark the light for quantum_efficiency."""
-        return _filtered(signal, leak=self.eps) if self.eps else signal
+        """State the leak for quantum_efficiency."""
+        return signal.filtered(leak=self.eps) if self.eps else signal
 
 
 @lru_cache(maxsize=32)
@@ -152,8 +136,8 @@ class QuantumEfficiency(Effect):
             raise InputError("effect quantum_efficiency: the light carries no wavelengths; give the signal wavelength_nm")
         area_m2 = (context.sensor.pixel_um * 1e-6) ** 2
         photons = grid * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S) * area_m2 * context.time_s() * _trapezoid(grid)
-        leak = getattr(signal, "leak", 0.0) * (grid > LEAK_ABOVE_NM)
-        shift = getattr(signal, "shift_nm", None)
+        leak = signal.filters.leak * (grid > LEAK_ABOVE_NM)
+        shift = signal.filters.shift_nm
         values = signal.values
         if values.shape[0] == 1 and grid.size > 1:
             values = np.broadcast_to(values, (grid.size, *values.shape[1:]))
@@ -235,6 +219,7 @@ class ColorFilterArray(Effect):
     stage = "pixel"
     acts_on = "electron"
     gives = "electron"
+    makes_mosaic = True
     order = 90.0
     candidate = False
     equation = "mu(row, col) = mu_c(row, col), c the colour of the pixel"

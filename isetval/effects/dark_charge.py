@@ -98,7 +98,8 @@ class HotPixels(Effect):
     acts_on = "electron"
     gives = "electron"
     random = "sensor"
-    few = "pixels"
+    rare = True
+    step_share = 0.5  # a few hot pixels more or less: only far steps count enough
     order = 24.0
     equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
     reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"

@@ -128,6 +128,7 @@ class Lag(Effect):
     stage = "electronics"
     acts_on = "electron"
     gives = "electron"
+    needs_previous = True
     order = 14.0
     equation = "mu + lambda x (electrons of the previous frame)"
     reference = "Janesick, Photon Transfer (SPIE 2007), sec. 11 (residual image); first-order term"

@@ -57,7 +57,8 @@ class Rts(Effect):
     acts_on = "electron"
     gives = "electron"
     random = "frame"
-    few = "pixels"
+    rare = True
+    step_share = 0.5  # a few hot pixels more or less: only far steps count enough
     order = 48.0
     equation = "N +- amplitude x (exponential number of mean 1) / 2 for a fraction of the pixels"
     reference = "Wang, Rao, Mierop & Theuwissen, IEDM 2006 (random telegraph signal in CMOS image sensor pixels)"
@@ -161,7 +162,7 @@ class RowFpn(Effect):
     acts_on = "dn"
     gives = "dn"
     random = "sensor"
-    few = "lines"
+    rare = True
     order = 73.0
     equation = "DN + sigma_r z(row)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 8 (row, column and pixel parts)"
@@ -182,7 +183,7 @@ class ColumnFpn(Effect):
     acts_on = "dn"
     gives = "dn"
     random = "sensor"
-    few = "lines"
+    rare = True
     order = 74.0
     equation = "DN + sigma_c z(column)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 8 (row, column and pixel parts)"

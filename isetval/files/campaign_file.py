@@ -13,6 +13,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.paths import resolve_path
+from isetval.core.region import Window
 from isetval.core.scene import Target
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.spectrum import Spectrum, read_spectra
@@ -259,13 +260,12 @@ def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:
     return number(entry, key, where) if key in entry else None
 
 
-def _window(entry: Mapping[str, Any], where: str) -> tuple[int, int, int, int] | None:
+def _window(entry: Mapping[str, Any], where: str) -> Window | None:
     if "window" not in entry and "size" not in entry:
         return None
     window = numbers(entry, "window", where, lengths=(2, 4)) if "window" in entry else (0.0, 0.0)
     size = numbers(entry, "size", where, lengths=(2,)) if "size" in entry else window[2:] or (0.0, 0.0)
-    row0, col0, rows, cols = (int(v) for v in (*window[:2], *size))
-    return (row0, col0, rows, cols)
+    return Window.of([int(v) for v in (*window[:2], *size)])
 
 
 def _sized(shot: Shot, sensor: Sensor, path: Path) -> Shot:
@@ -275,14 +275,13 @@ def _sized(shot: Shot, sensor: Sensor, path: Path) -> Shot:
         pass
     elif shot.files:
         origin = window[:2] if window else (0, 0)
-        window = (*origin, *_first_readable(shot.files, path).mosaic.shape)
+        window = Window(*origin, *_first_readable(shot.files, path).mosaic.shape)
     elif window is None:
-        window = (0, 0, sensor.rows, sensor.cols)
+        window = Window(0, 0, sensor.rows, sensor.cols)
     else:
         raise InputError(
             f"shot {shot.name}: window {list(window[:2])} has no size and there are no files to take it from; add size"
         )
-    row0, col0, rows, cols = window
-    if row0 < 0 or col0 < 0 or row0 + rows > sensor.rows or col0 + cols > sensor.cols:
+    if not window.fits((sensor.rows, sensor.cols)):
         raise InputError(f"shot {shot.name}: window {list(window)} leaves the sensor of {sensor.rows} x {sensor.cols} pixels")
     return replace(shot, window=window)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.core.effect import Effect, ParameterInfo
+from isetval.core.parameter import Parameter
 from isetval.effects import catalogue
-from isetval.loop.fit import Fit, Free, far_values, is_focus, made_parallel
-from isetval.loop.prediction import NOISE_ROLES, RANDOM_SEEDS, SIGNATURE_SEEDS, Point
+from isetval.loop.fit import Fit, far_values, made_parallel
+from isetval.loop.prediction import RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 from isetval.loop.problem import Problem
 
 Float = NDArray[np.float64]
@@ -58,10 +59,10 @@ class Candidate:
         """The model in which the effect exists (at its null where it was absent)."""
         return model if model.effect(self.name) is not None else model.add(self.effect)
 
-    def free(self, steps: Sequence[float]) -> tuple[Free, ...]:
+    def free(self, steps: Sequence[float]) -> tuple[Parameter, ...]:
         """Its parameters for a fit, with the catalogue's priors."""
         return tuple(
-            Free(f"{self.name}.{p.name}", p.tau, float(step), center=float(value), low=p.low, high=p.high)
+            Parameter(p.name, self.name, unit=p.unit, prior=p.tau, step=float(step), center=float(value), low=p.low, high=p.high)
             for p, step, value in zip(self.parameters, steps, self.nominal, strict=True)
         )
 
@@ -134,10 +135,10 @@ def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Si
     Far from zero a secant of one parameter that looks like a focus error is first taken again from both sides,
     in steps that change as much as those of the focus do.
     """
-    focus = [problem.columns[f.key].slope for f in fitted.free if is_focus(f)]
+    focus = [problem.columns[f.label].slope for f in fitted.free if f.focus]
     out = list(made)
     for key in far_values(fitted):
-        step = next(f.step for f in fitted.free if f.key == key)
+        step = next(f.step for f in fitted.free if f.label == key)
         column = problem.whitened(problem.columns[key].slope * step)
         out = [_like_focus(problem, fitted.point, s, column) if len(s.steps) == 1 else s for s in out]
     columns = [np.column_stack([made_parallel(problem, column, focus) for column in s.columns.T]) for s in out]
@@ -184,7 +185,7 @@ def _secants(problem: Problem, point: Point, wanted: Sequence[Candidate], steps:
             model = wanted[i].model_with(point.model)
             for key, value, h in zip(wanted[i].keys, wanted[i].nominal, steps[i], strict=True):
                 points.append(Point(model.with_values({key: value + h}), point.values))
-        vectors = iter(problem.predictor.derivative_vectors(points, seeds, roles=NOISE_ROLES if random else None))
+        vectors = iter(problem.predictor.derivative_vectors(points, seeds, of_noise=random))
         here = next(vectors)
         for i in chosen:
             out[i] = np.nan_to_num(np.column_stack([(next(vectors) - here) / h for h in steps[i]]))

@@ -16,7 +16,8 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, MetricTable
 from isetval.files.captures import forgiving
-from isetval.loop.fit import Fit, far_values, fit, nuisance_parameters
+from isetval.loop.fit import Fit, far_values, fit, jacobian, nuisance_parameters
+from isetval.loop.gaussian import degrees_spent, square
 from isetval.loop.ladder import LadderRow
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.problem import Problem, make_problem
@@ -193,9 +194,7 @@ def _paired_rows(table: MetricTable, problem: Problem, pairs: Sequence[tuple[Sho
 
 
 def _set_up_part(problem: Problem, model: CameraModel, local: Float) -> Float:
-    from isetval.loop.fit import jacobian
-
-    free = [f for f in nuisance_parameters(problem.plan, model) if "@set-up:" in f.key]
+    free = [f for f in nuisance_parameters(problem.plan, model) if f.scope == "set-up"]
     if not free:
         return np.zeros((len(local), len(local)))
     from scipy.linalg import solve_triangular
@@ -226,15 +225,9 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel], *, role: str)
 def _family_square(problem: Problem, fitted: Fit, mask: NDArray[np.bool_]) -> tuple[float, int]:
     n = int(mask.sum())
     if mask.all():
-        weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in fitted.free])
-        gram = fitted.jacobian.T @ fitted.jacobian
-        spent = float(np.trace(np.linalg.pinv(gram + np.diag(weight**2)) @ gram)) if gram.size else 0.0
-        return float(fitted.z @ fitted.z) / max(n - spent, 1.0), n
+        return float(fitted.z @ fitted.z) / max(n - degrees_spent(fitted.jacobian, fitted.free), 1.0), n
     rows = problem.keep[mask]
-    block = problem.covariance[np.ix_(rows, rows)]
-    scale = np.sqrt(np.diag(block))
-    z = np.linalg.solve(np.linalg.cholesky(block / np.outer(scale, scale) + 1e-9 * np.eye(n)), fitted.residual[rows] / scale)
-    return float(z @ z) / n, n
+    return square(fitted.residual[rows], problem.covariance[np.ix_(rows, rows)]) / n, n
 
 
 def _relative_error(problem: Problem, fitted: Fit, mask: NDArray[np.bool_]) -> float:
@@ -318,7 +311,7 @@ def comparison_of(prepared: Prepared, models: Sequence[CameraModel], *, role: st
     for model in models:
         fitted = prepared.fit_nuisances(model)
         frames.append(_rows(prepared.problem_for(model), model, fitted))
-        nuisances[model.name] = {f.key: fitted.value(f.key) for f in fitted.free}
+        nuisances[model.name] = {f.label: fitted.value(f.label) for f in fitted.free}
     return Comparison(
         table=pd.concat(frames, ignore_index=True),
         ladder=tuple(ladder_rows(prepared, models, role=role)),
@@ -335,7 +328,7 @@ def _rows(problem: Problem, model: CameraModel, fitted: Fit) -> pd.DataFrame:
 
     keep = problem.keep
     metrics = [problem.predictor.table.metrics[i] for i in keep]
-    names = [n for n in METRIC_FIELDS if n not in ("value", "sigma", "summary")]
+    names = [n for n in METRIC_FIELDS if n not in ("value", "sigma", "summary", "count")]
     frame = pd.DataFrame([[getattr(m, n) for n in names] for m in metrics], columns=names)
     sigma = np.sqrt(np.diag(problem.covariance)[keep])
     frame.insert(0, "model", model.name)

@@ -148,7 +148,7 @@ def score_all(case: Case) -> dict[str, Score]:
     out = {}
     plain = make_frame(case.fitted)
     for c in case.candidates:
-        own = [f.key for f in case.fitted.free if f.key.split("@")[0] in c.keys]
+        own = [f.label for f in case.fitted.free if f.key in c.keys]
         frame = make_frame(case.fitted, without=tuple(own)) if own else plain
         out[c.name] = score(frame, case.problem.whitened(case.signatures[c.name].columns), one_sided=c.one_sided)
     return out

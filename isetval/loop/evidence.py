@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate, Signature
-from isetval.loop.fit import Fit, Free, fit
+from isetval.loop.fit import Fit, fit
+from isetval.loop.gaussian import hessian, log_determinant
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
@@ -54,17 +56,16 @@ def refit(
     reach = np.maximum(np.abs(signature.steps) * 1.5, candidate.tau)
     value = np.clip(candidate.nominal + np.clip(estimate, -reach, reach), low, high)
     start = Point(start_model.with_values(dict(zip(candidate.keys, map(float, value), strict=True))), fitted.point.values)
-    share = 0.5 if candidate.effect.few == "pixels" else 0.2  # a few hot pixels more or less: only far steps count enough
-    effect_steps = np.maximum(share * np.abs(value - candidate.nominal), 0.02 * candidate.tau)
+    effect_steps = np.maximum(candidate.effect.step_share * np.abs(value - candidate.nominal), 0.02 * candidate.tau)
     free = (
         *without_prior(fitted.free, candidate),
-        *(replace(f, step=float(h)) for f, h in zip(free_effect, effect_steps, strict=True)),
+        *(f.stepped(float(h)) for f, h in zip(free_effect, effect_steps, strict=True)),
     )
     joint = fit(problem, start, free)
-    hessian = _log_hessian(joint)
+    volume = log_hessian(joint)
     sides = np.log(2.0) if candidate.one_sided else 0.0
     gain = (fitted.chi2 - joint.chi2) / 2
-    log_evidence = gain - (hessian - null_hessian) / 2 - float(np.sum(np.log(candidate.tau))) + sides
+    log_evidence = gain - (volume - null_hessian) / 2 - float(np.sum(np.log(candidate.tau))) + sides
     if gain > found.dchi2 / 4:
         return Refit(candidate, joint, float(log_evidence), 2 * float(gain), {key: joint.value(key)[0] for key in candidate.keys})
     linear = dict(zip(candidate.keys, map(float, value), strict=True))
@@ -77,22 +78,14 @@ def _linear_evidence(candidate: Candidate, found: Score, sides: float) -> float:
     return float(found.dchi2 / 2 + np.sum(width) + sides)
 
 
-def without_prior(free: Sequence[Free], candidate: Candidate) -> tuple[Free, ...]:
+def without_prior(free: Sequence[Parameter], candidate: Candidate) -> tuple[Parameter, ...]:
     """Free parameters without the nuisances that are the candidate's own parameters."""
-    return tuple(f for f in free if f.key.split("@")[0] not in candidate.keys and f.key not in candidate.keys)
+    return tuple(f for f in free if f.key not in candidate.keys)
 
 
-def _log_hessian(fitted: Fit) -> float:
-    weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in fitted.free])
-    hessian = fitted.jacobian.T @ fitted.jacobian + np.diag(weight**2)
-    if not hessian.size:
-        return 0.0
-    scale = np.sqrt(np.diag(hessian))
-    scale[scale == 0] = 1.0
-    return float(np.linalg.slogdet(hessian / np.outer(scale, scale))[1] + 2 * np.sum(np.log(scale)))
-
-
-log_hessian = _log_hessian
+def log_hessian(fitted: Fit) -> float:
+    """Ln det of the Hessian of a fit, priors included."""
+    return log_determinant(hessian(fitted.jacobian, fitted.free))
 
 
 def posteriors(log_evidence: Sequence[float], candidates: int) -> Float:

@@ -9,40 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.camera.shooting import nuisance_groups
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
+from isetval.core.parameter import Parameter
+from isetval.loop.gaussian import hessian, prior_weights
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Column, Problem
 
 Float = NDArray[np.float64]
-CURVED = ("focus_um", "edge_shift_px", "edge_angle_deg")
 MAX_ITERATIONS, MAX_FAILURES = 20, 2
 RADIUS = 4.0  # prior sigmas
 STALE, FAR = 1.0, 3.0
 ALIKE = 0.995  # cosine
 CONVERGED = 0.02
-
-
-@dataclass(frozen=True)
-class Free:
-    """A parameter that a fit may move.
-
-    ``key`` is a nuisance label or ``effect.parameter``; ``prior`` its Gaussian prior's standard
-    deviation around ``center`` (None: none); ``step`` the size of the finite difference.
-    """
-
-    key: str
-    prior: float | None
-    step: float
-    center: float = 0.0
-    low: float = -np.inf
-    high: float = np.inf
-
-    @property
-    def is_nuisance(self) -> bool:
-        """Whether it belongs to the shots, not to the model."""
-        return "@" in self.key
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +33,7 @@ class Fit:
     """
 
     point: Point
-    free: tuple[Free, ...]
+    free: tuple[Parameter, ...]
     values: Float
     covariance: Float
     prediction: Float
@@ -66,62 +45,61 @@ class Fit:
 
     def value(self, key: str) -> tuple[float, float]:
         """Fitted value and standard deviation of a parameter."""
-        i = [f.key for f in self.free].index(key)
+        i = [f.label for f in self.free].index(key)
         return float(self.values[i]), float(np.sqrt(self.covariance[i, i]))
 
 
-def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Free, ...]:
+def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Parameter, ...]:
     """The campaign's nuisances as free parameters; ``without`` names camera parameters that lose theirs."""
-    out = []
-    for label, prior in nuisance_groups(plan).items():
-        if "." in prior.parameter:
-            if prior.parameter in without:
-                continue
-            model.value(prior.parameter)
-        out.append(Free(label, prior.sigma, prior.sigma))
-    return tuple(out)
+    free = tuple(p for p in plan.unknowns() if not (p.owner and p.key in without))
+    for p in free:
+        if p.owner:
+            model.value(p.key)  # a tolerance of a parameter that the model does not have is refused by name
+    return free
 
 
-def at(point: Point, free: Sequence[Free], values: Sequence[float]) -> Point:
+def at(point: Point, free: Sequence[Parameter], values: Sequence[float]) -> Point:
     """The point with parameters set (clipped to their bounds)."""
     nuisances = dict(point.values)
     camera: dict[str, float] = {}
     for parameter, value in zip(free, values, strict=True):
         clipped = float(np.clip(value, parameter.low, parameter.high))
-        (nuisances if parameter.is_nuisance else camera)[parameter.key] = clipped
+        (nuisances if parameter.is_nuisance else camera)[parameter.label] = clipped
     model = point.model.with_values(camera) if camera else point.model
     return Point(model, nuisances)
 
 
-def jacobian(problem: Problem, point: Point, free: Sequence[Free], *, stale: float = STALE, both_sides: bool = False) -> Float:
+def jacobian(
+    problem: Problem, point: Point, free: Sequence[Parameter], *, stale: float = STALE, both_sides: bool = False
+) -> Float:
     """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
 
-    Columns of nuisances are remembered, and taken again where the problem bends: when one of `CURVED`
-    that shares rows with them has moved by more than ``stale`` of its prior sigmas.  With ``both_sides``
+    Columns of nuisances are remembered, and taken again where the problem bends: when one that is `curved`
+    and shares rows with them has moved by more than ``stale`` of its prior sigmas.  With ``both_sides``
     columns of effects are central differences: a variance goes as the square of its parameter.
     """
     moved = _moved(problem, point, free, stale)
-    wanted = [f for f in free if not f.is_nuisance or f.key not in problem.columns or f.key in moved]
-    raw = dict(zip((f.key for f in wanted), _slopes(problem, point, wanted, both_sides), strict=True))
-    here = {f.key: point.values.get(f.key, 0.0) for f in free if f.is_nuisance}
-    problem.columns.update({f.key: Column(raw[f.key], here) for f in wanted if f.is_nuisance})
-    focus = [problem.columns[f.key].slope for f in free if is_focus(f)]
-    raw |= {f.key: made_parallel(problem, raw[f.key], focus) for f in wanted if not f.is_nuisance}
+    wanted = [f for f in free if not f.is_nuisance or f.label not in problem.columns or f.label in moved]
+    raw = dict(zip((f.label for f in wanted), _slopes(problem, point, wanted, both_sides), strict=True))
+    here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
+    problem.columns.update({f.label: Column(raw[f.label], here) for f in wanted if f.is_nuisance})
+    focus = [problem.columns[f.label].slope for f in free if f.focus]
+    raw |= {f.label: made_parallel(problem, raw[f.label], focus) for f in wanted if not f.is_nuisance}
     if not free:
         return np.zeros((problem.keep.size, 0))
-    return problem.whitened(np.column_stack([raw[f.key] if f.key in raw else problem.columns[f.key].slope for f in free]))
+    return problem.whitened(np.column_stack([raw[f.label] if f.label in raw else problem.columns[f.label].slope for f in free]))
 
 
-def _moved(problem: Problem, point: Point, free: Sequence[Free], stale: float) -> set[str]:
+def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float) -> set[str]:
     """Nuisances whose remembered column no longer holds at a point."""
-    known = [(f.key, problem.columns[f.key]) for f in free if f.key in problem.columns]
-    curved = [f for f in free if f.key in problem.columns and _curved(f)]
+    known = [(f.label, problem.columns[f.label]) for f in free if f.label in problem.columns]
+    curved = [f for f in free if f.label in problem.columns and f.curved]
     rows = {key: column.slope != 0 for key, column in known}
     out = set()
     for key, column in known:
         for f in curved:
-            distance = abs(point.values.get(f.key, 0.0) - column.taken_at.get(f.key, 0.0))
-            if distance > stale * (f.prior or f.step) and (f.key == key or np.any(rows[f.key] & rows[key])):
+            distance = abs(point.values.get(f.label, 0.0) - column.taken_at.get(f.label, 0.0))
+            if distance > stale * f.reach and (f.label == key or np.any(rows[f.label] & rows[key])):
                 out.add(key)
                 break
     return out
@@ -143,31 +121,26 @@ def made_parallel(problem: Problem, column: Float, focus: Sequence[Float]) -> Fl
     return np.asarray(out)
 
 
-def is_focus(f: Free) -> bool:
-    """Whether a parameter is an error of the focus scale."""
-    return f.key.startswith("focus_um@")
-
-
 def far_values(fitted: Fit) -> dict[str, float]:
     """Focus errors that a fit moved by more than `FAR` of their prior's sigmas, to the nearest whole sigma."""
     out = {}
     for f in fitted.free:
-        unit = f.prior or f.step
-        if is_focus(f) and abs(fitted.value(f.key)[0]) > FAR * unit:
-            out[f.key] = unit * round(fitted.value(f.key)[0] / unit)
+        unit = f.reach
+        if f.focus and abs(fitted.value(f.label)[0]) > FAR * unit:
+            out[f.label] = unit * round(fitted.value(f.label)[0] / unit)
     return out
 
 
-def _slopes(problem: Problem, point: Point, wanted: Sequence[Free], both_sides: bool) -> list[Float]:
+def _slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool) -> list[Float]:
     """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked."""
     points: list[Point] = [point]
     steps, twice = [], []
     for f in wanted:
-        value = point.values.get(f.key, 0.0) if f.is_nuisance else point.model.value(f.key)
+        value = point.values.get(f.label, 0.0) if f.is_nuisance else point.model.value(f.label)
         up = f.step if value + f.step <= f.high else -f.step
         steps.append(up)
         points.append(at(point, [f], [value + up]))
-        twice.append(_curved(f) or (both_sides and not f.is_nuisance and f.low <= value - up <= f.high))
+        twice.append(f.curved or (both_sides and not f.is_nuisance and f.low <= value - up <= f.high))
         if twice[-1]:
             points.append(at(point, [f], [value - up]))
     vectors = iter(problem.predictor.derivative_vectors(points, problem.seeds))
@@ -180,11 +153,7 @@ def _slopes(problem: Problem, point: Point, wanted: Sequence[Free], both_sides: 
     return out
 
 
-def _curved(f: Free) -> bool:
-    return f.is_nuisance and f.key.split("@")[0] in CURVED
-
-
-def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
+def fit(problem: Problem, start: Point, free: Sequence[Parameter]) -> Fit:
     """Maximum a posteriori values of ``free`` by Gauss-Newton steps in a trust region, with re-simulated predictions.
 
     Parameters
@@ -192,7 +161,7 @@ def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
     problem : Problem
     start : Point
         Parameters start at the point's own values.
-    free : sequence of Free
+    free : sequence of Parameter
 
     Raises
     ------
@@ -231,8 +200,7 @@ def fit(problem: Problem, start: Point, free: Sequence[Free]) -> Fit:
             matrix = jacobian(problem, state.point(start, free), free, stale=0.0)
     if any(not f.is_nuisance for f in free):
         matrix = jacobian(problem, state.point(start, free), free, both_sides=True)
-    hessian = matrix.T @ matrix + np.diag(state.weight**2)
-    covariance: Float = np.asarray(np.linalg.pinv(hessian)) if free else np.zeros((0, 0))
+    covariance: Float = np.asarray(np.linalg.pinv(hessian(matrix, free))) if free else np.zeros((0, 0))
     residual = problem.measured - state.prediction
     point = state.point(start, free)
     return Fit(point, free, state.values, covariance, state.prediction, residual, state.z, matrix, state.cost, converged)
@@ -251,21 +219,21 @@ class _State:
     cost: float
 
     @classmethod
-    def at(cls, problem: Problem, start: Point, free: tuple[Free, ...]) -> _State:
-        values = np.array([start.values.get(f.key, f.center) if f.is_nuisance else start.model.value(f.key) for f in free])
-        weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in free])
+    def at(cls, problem: Problem, start: Point, free: tuple[Parameter, ...]) -> _State:
+        values = np.array([start.values.get(f.label, f.center) if f.is_nuisance else start.model.value(f.label) for f in free])
+        weight = prior_weights(free)
         nothing = np.zeros(0)
-        unit = np.array([f.prior or f.step for f in free])
+        unit = np.array([f.reach for f in free])
         empty = cls(values, weight, unit, np.array([f.center for f in free]), nothing, nothing, np.inf)
         found = empty.moved(problem, start, free, np.zeros(len(free)))
         if not np.isfinite(found.cost):
             raise InputError("the fit starts where nothing can be simulated; check the priors of the campaign's nuisances")
         return found
 
-    def point(self, start: Point, free: tuple[Free, ...]) -> Point:
+    def point(self, start: Point, free: tuple[Parameter, ...]) -> Point:
         return at(start, free, list(self.values))
 
-    def moved(self, problem: Problem, start: Point, free: tuple[Free, ...], step: Float) -> _State:
+    def moved(self, problem: Problem, start: Point, free: tuple[Parameter, ...], step: Float) -> _State:
         """The state a step away, clipped to the parameters' bounds; infinitely dear where nothing can be simulated."""
         values = np.clip(self.values + step, [f.low for f in free], [f.high for f in free])
         (prediction,) = problem.predict([at(start, free, list(values))])

@@ -88,7 +88,7 @@ def holds(case: Case, found: Refit, tests: int, say: Say) -> bool:
 def rebase(case: Case, say: Say) -> None:
     """Predict and weigh anew at the model found so far, until it stands: variances grow with the effect."""
     keys = [key for found in case.named for key in found.candidate.keys]
-    drawn = any(found.candidate.effect.few for found in case.named)
+    drawn = any(found.candidate.effect.rare for found in case.named)
     for turn in range(MAX_REBASES):
         model = named_model(case, case.named, case.fitted)
         if turn == 0:
@@ -114,6 +114,7 @@ def named_model(case: Case, named: Sequence[Refit], fitted: Fit) -> CameraModel:
     """The nominal model with effects at the values of a fit."""
     model = case.prepared.model
     for found in named:
-        values = {key.split(".")[1]: fitted.value(key)[0] for key in found.candidate.keys}
+        parameters = zip(found.candidate.parameters, found.candidate.keys, strict=True)
+        values = {p.name: fitted.value(key)[0] for p, key in parameters}
         model = model.with_effect(found.candidate.effect.changed(**values))
     return model

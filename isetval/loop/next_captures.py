@@ -20,6 +20,7 @@ from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
 from isetval.loop.candidates import Signature, signatures
 from isetval.loop.fit import Fit, jacobian, nuisance_parameters
+from isetval.loop.gaussian import orthonormal_basis, with_priors
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem, make_problem
 from isetval.loop.result import NextCapture
@@ -157,19 +158,18 @@ def _joint_cosine(
 ) -> float:
     """The cosine on both plans together; nuisances with the same label are shared."""
     own = list(fitted.free)
-    known = {f.key for f in own}
+    known = {f.label for f in own}
     free_extra = nuisance_parameters(extra.plan, extra.nominal)
-    new = [f for f in free_extra if f.key not in known]
+    new = [f for f in free_extra if f.label not in known]
     columns_extra = jacobian(extra, Point(extra.nominal), free_extra)
-    place = {f.key: i for i, f in enumerate([*own, *new])}
+    place = {f.label: i for i, f in enumerate([*own, *new])}
     top = np.zeros((problem.keep.size, len(place)))
     top[:, : len(own)] = fitted.jacobian
     bottom = np.zeros((extra.keep.size, len(place)))
     for i, f in enumerate(free_extra):
-        bottom[:, place[f.key]] = columns_extra[:, i]
-    weight = np.array([0.0 if f.prior is None else 1 / f.prior for f in [*own, *new]])
-    q, _ = np.linalg.qr(np.vstack([top, bottom, np.diag(weight)[np.flatnonzero(weight)]]))
+        bottom[:, place[f.label]] = columns_extra[:, i]
+    matrix, priors = with_priors(np.vstack([top, bottom]), [*own, *new])
     rows = problem.keep.size + extra.keep.size
-    frame = Frame(np.zeros(rows + np.count_nonzero(weight)), q, rows)
+    frame = Frame(np.zeros(rows + priors.size), orthonormal_basis(matrix), rows)
     white = [np.vstack([problem.whitened(s.columns), extra.whitened(m.columns)]) for s, m in zip(pair, more, strict=True)]
     return cosine(frame, white[0], white[1])

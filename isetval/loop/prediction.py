@@ -23,29 +23,26 @@ from isetval.camera.model import CameraModel
 from isetval.camera.shooting import camera_with, shot_setup
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
+from isetval.core.context import Mode
 from isetval.core.errors import InputError
 from isetval.core.hashing import content_hash
-from isetval.core.metric import Block, MetricTable
+from isetval.core.metric import Block, Differences, MetricTable
 from isetval.core.scene import RenderedTarget
 from isetval.core.store import Store
 from isetval.loop.render_error import render_covariance
+from isetval.loop.scatter import scatter
 from isetval.measure.campaign import measure_shot
 
 Float = NDArray[np.float64]
 REPLICAS = 16
 COVARIANCE_REPLICAS = 4
-ONE_FRAME_ROLES = ("edge", "chart", "scene")
 DERIVATIVE_SEEDS = (101,)
 # signatures have seeds of their own: what rounding does to a fit must not look like a signature
 SIGNATURE_SEEDS = (201,)
 RANDOM_SEEDS = (201, 202)
-# a specimen's pattern (hot pixels, columns) is one draw: its expectation needs many; darks are cheap
+# a specimen's pattern (hot pixels, columns) is one draw: its expectation needs many; a shot takes as many as its blocks say
 SPECIMEN_SEEDS = tuple(range(101, 113))
-SEEDS_OF_ROLE = {"dark": 12, "flat": 4}  # at most; 1 for all others
-NOISE_ROLES = ("dark", "flat")  # where noise itself is measured: means elsewhere do not feel it
-BASE_SEED = 7_000
-FLOOR = 0.15  # eigenvalues of a correlation matrix
-TOWARDS_ONE, TOWARDS_FAMILY = 40, 100  # numbers
+BASE_SEED = 7_000  # replicas have seeds that neither captures nor differences use
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ class ShotPart:
     model: CameraModel
     setup: ShotSetup
     seed: int
-    derivative: bool
+    mode: Mode
     choices: Mapping[str, Any]
 
 
@@ -108,6 +105,7 @@ class Predictor:
         self.shots = tuple(shot for shot in self.plan.shots if shot.name in measured)
         self.rows = {shot.name: np.array([i for i, m in enumerate(table.metrics) if m.shot == shot.name]) for shot in self.shots}
         self.jobs = max(1, min(jobs, os.cpu_count() or 1))
+        self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._memo = Store(repr((self.plan.name, [shot.name for shot in self.shots])))
         self._pools: list[ProcessPoolExecutor] = []
 
@@ -124,21 +122,23 @@ class Predictor:
         return [self._part(camera, shot, point.values, seed, derivative) for shot in self.shots]
 
     def _part(self, camera: CameraModel, shot: Shot, values: Mapping[str, float], seed: int, derivative: bool) -> ShotPart:
-        if derivative and shot.role in ONE_FRAME_ROLES:
-            shot = replace(shot, frames=1)  # means over frames: with common random numbers one frame tells the difference
+        how = self.differences[shot.name]
+        if derivative and how.one_frame:
+            shot = replace(shot, frames=1)
+        mode: Mode = "capture" if not derivative else "expected" if how.noise_free else "derivative"
         choices = {key: made for key, made in self.table.choices.items() if key.startswith(f"{shot.name}/")}
-        return ShotPart(camera, shot_setup(self.plan, shot, values), seed, derivative, choices)
+        return ShotPart(camera, shot_setup(self.plan, shot, values), seed, mode, choices)
 
     def derivative_vectors(
-        self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS, *, roles: Sequence[str] | None = None
+        self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS, *, of_noise: bool = False
     ) -> list[Float]:
         """Metrics (metrics,) at each point, mean over ``seeds`` of common random numbers.
 
-        Of ``seeds`` each role uses as many as `SEEDS_OF_ROLE` allows.  With ``roles``, shots of other
-        roles are not simulated; their rows are nan.
+        Of ``seeds`` each shot uses as many as the `Differences` of its blocks say.  With ``of_noise`` only shots in which
+        noise itself is measured are simulated (means elsewhere do not feel it); the rows of the others are nan.
         """
-        shots = [shot for shot in self.shots if roles is None or shot.role in roles]
-        draws = [(shot, seed) for shot in shots for seed in seeds[: SEEDS_OF_ROLE.get(shot.role, 1)]]
+        shots = [shot for shot in self.shots if not (of_noise and self.differences[shot.name].one_frame)]
+        draws = [(shot, seed) for shot in shots for seed in seeds[: self.differences[shot.name].draws]]
         cameras = [camera_with(point.model, self.plan, point.values) for point in points]
         tasks = [
             self._part(camera, shot, point.values, seed, True)
@@ -173,7 +173,7 @@ class Predictor:
             for shot in self.shots:
                 values[r, self.rows[shot.name]] = next(vectors)
         covariance = np.mean([_ordered(t.covariance(), self._order(t)) for t in tables], axis=0)
-        scale = self._scatter(values, covariance)
+        scale = scatter(values, covariance, self.table.metrics)
         covariance = covariance * np.outer(scale, scale) + self._of_renders(tasks[: len(self.shots)])
         return Base(values.mean(axis=0), covariance, values, scale)
 
@@ -190,34 +190,6 @@ class Predictor:
     def _order(self, table: MetricTable) -> NDArray[np.intp]:
         place = {m.key(): i for i, m in enumerate(table.metrics)}
         return np.array([place.get(key, -1) for key in self.keys])
-
-    def _scatter(self, values: Float, covariance: Float) -> Float:
-        """Ratio (metrics,) of the replicas' scatter to the stated covariance (whitened), by family and shot.
-
-        A family's ratio is drawn towards 1 by `TOWARDS_ONE` numbers, that of the family in one shot towards the
-        family's by `TOWARDS_FAMILY`: row noise, for one, concerns horizontal edges only.
-        Directions below `FLOOR` do not count: there the covariance holds more than the estimator's own noise on purpose
-        (`isetval.measure.analyses.edges.ROUGHNESS`), and scatters that are smaller would shrink all the others.
-        """
-        families = np.array([m.family for m in self.table.metrics])
-        shots = np.array([str(m.shot) for m in self.table.metrics])
-        variance = np.diag(covariance)
-        good = np.isfinite(variance) & (variance > 0) & np.isfinite(values).all(axis=0)
-        residual = values - values.mean(axis=0)
-        out = np.ones(families.size)
-        for family in dict.fromkeys(families):
-            if family.endswith(("outliers", "noisy_pixels")):
-                continue
-            parts = [(shot, np.flatnonzero((families == family) & (shots == shot) & good)) for shot in dict.fromkeys(shots)]
-            seen = {
-                shot: _whitened_square(residual[:, rows], covariance[np.ix_(rows, rows)]) for shot, rows in parts if rows.size
-            }
-            total, numbers = sum(square for square, _ in seen.values()), sum(n for _, n in seen.values())
-            whole = (total + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
-            for shot, (square, n) in seen.items():
-                own = (square + TOWARDS_FAMILY * whole) / (n + TOWARDS_FAMILY)
-                out[(families == family) & (shots == shot)] = np.sqrt(own)
-        return out
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
         """Measured values of each task; equal content is simulated once."""
@@ -251,22 +223,13 @@ class Predictor:
         return [future.result() for future in futures]
 
 
-def _whitened_square(residual: Float, covariance: Float) -> tuple[float, int]:
-    """Sum of squares of residuals (replicas, rows) whitened with a covariance (rows, rows), and how many numbers it holds."""
-    sigma = np.sqrt(np.diag(covariance))
-    size, along = np.linalg.eigh(covariance / np.outer(sigma, sigma))
-    seen = size > FLOOR
-    part = along[:, seen].T @ (residual / sigma).T
-    return float(np.sum(part**2 / size[seen, None])), int(seen.sum()) * (len(residual) - 1)
-
-
 def _content(task: ShotPart) -> Any:
     """Equal for two tasks that must give the same numbers."""
     model = task.model
     front = tuple(e.content() for e in model.effects if e.stage in FRONT)
     rest = tuple(e.content() for e in model.effects if e.stage not in FRONT)
     made = (front, task.setup.digest(), rest, task.setup.shot.name, task.setup.shot.frames)
-    return (model.sensor, model.wavelength_nm.tobytes(), made, task.seed, task.derivative, repr(task.choices))
+    return (model.sensor, model.wavelength_nm.tobytes(), made, task.seed, task.mode, repr(task.choices))
 
 
 def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
@@ -291,7 +254,7 @@ def _vector_of(task: ShotPart, keys: Sequence[Any]) -> Float:
         task.setup.shot.name,
         task.setup.shot.frames,
         task.seed,
-        task.derivative,
+        task.mode,
         choices,
         len(keys),
         task.model.sensor,
@@ -318,12 +281,18 @@ def _render_part(task: ShotPart, keys: Sequence[Any]) -> Float | None:
     return render_covariance(task.model, one, measure)
 
 
+def _joint_differences(table: MetricTable, shot: str) -> Differences:
+    """What the blocks of one shot together ask of a difference."""
+    asked = [block.differences for block in table.blocks if block.metrics and block.metrics[0].shot == shot]
+    return Differences(
+        one_frame=all(d.one_frame for d in asked),
+        noise_free=all(d.noise_free for d in asked),
+        draws=max((d.draws for d in asked), default=1),
+    )
+
+
 def _blocks_of(task: ShotPart) -> list[Block]:
-    mode = "capture"
-    if task.derivative:
-        # an edge that moves takes its noise to other phases: only without noise do both sides stay comparable
-        mode = "expected" if task.setup.shot.role == "edge" else "derivative"
-    captures = expose(task.model, task.setup, task.seed, mode=mode)  # type: ignore[arg-type]
+    captures = expose(task.model, task.setup, task.seed, mode=task.mode)
     try:
         return [block for _, block in measure_shot(task.setup.shot, captures, choices=task.choices)]
     except InputError:

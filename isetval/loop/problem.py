@@ -12,6 +12,7 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
+from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 
 Float = NDArray[np.float64]
@@ -95,7 +96,7 @@ def make_problem(
 
 def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np.bool_]:
     """Rows that count outliers where neither side has any: they hold no information and are not normal."""
-    counts = np.array([m.unit.startswith("2 sqrt(count") for m in table.metrics])
+    counts = np.array([m.count for m in table.metrics], bool)
     nothing = 2 * np.sqrt(0.375) + 1e-9
     return np.asarray(counts & (measured <= nothing) & (base.values.max(axis=0) <= nothing))
 
@@ -107,12 +108,7 @@ def weigh(problem: Problem) -> None:
     for column in _frame_columns(problem):
         covariance = covariance + np.outer(column, column)
     problem.covariance = covariance
-    covariance = covariance[np.ix_(keep, keep)]
-    scale = np.sqrt(np.diag(covariance))
-    lower = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-9 * np.eye(keep.size))
-    from scipy.linalg import solve_triangular
-
-    problem.whiten = np.asarray(solve_triangular(lower, np.diag(1 / scale), lower=True))
+    problem.whiten = whitener(covariance[np.ix_(keep, keep)])
 
 
 def _frame_columns(problem: Problem) -> list[Float]:

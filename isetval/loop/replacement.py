@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.parameter import Parameter
 from isetval.loop.evidence import PROBABILITY_CAP, Refit, log_hessian, without_prior
-from isetval.loop.fit import Fit, Free, fit, nuisance_parameters
+from isetval.loop.fit import Fit, fit, nuisance_parameters
 from isetval.loop.investigation import ODDS, Case, named_model
 from isetval.loop.prediction import Point
 
@@ -42,7 +43,7 @@ def _in_place_of(case: Case, place: int, rival: Refit) -> Fit:
     """The joint fit with ``rival`` in place of one of the named effects."""
     others = [named for i, named in enumerate(case.named) if i != place]
     model = rival.candidate.model_with(named_model(case, others, case.fitted)).with_values(dict(rival.values))
-    free: tuple[Free, ...] = nuisance_parameters(case.problem.plan, case.prepared.model)
+    free: tuple[Parameter, ...] = nuisance_parameters(case.problem.plan, case.prepared.model)
     kept = [key for named in others for key in named.candidate.keys]
     for named in (*others, rival):
         free = without_prior(free, named.candidate)

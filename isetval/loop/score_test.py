@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.loop.fit import Fit
+from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 
 Float = NDArray[np.float64]
 
@@ -38,16 +39,12 @@ class Frame:
 
 def make_frame(fitted: Fit, *, without: tuple[str, ...] = ()) -> Frame:
     """The frame of a fit; ``without`` names free parameters that lose their prior and leave the nuisances."""
-    keep = [i for i, f in enumerate(fitted.free) if not any(f.key.startswith(name) for name in without)]
-    weight = np.array([0.0 if fitted.free[i].prior is None else 1 / fitted.free[i].prior for i in keep])  # type: ignore[operator]
-    center = np.array([fitted.free[i].center for i in keep])
-    priors = np.flatnonzero(weight)
-    matrix = np.vstack([fitted.jacobian[:, keep], np.diag(weight)[priors]])
-    pulls = -weight * (fitted.values[keep] - center)
+    keep = [i for i, f in enumerate(fitted.free) if f.label not in without]
+    free = [fitted.free[i] for i in keep]
+    matrix, priors = with_priors(fitted.jacobian[:, keep], free)
+    pulls = -prior_weights(free) * (fitted.values[keep] - np.array([f.center for f in free]))
     z = np.concatenate([fitted.z, pulls[priors]])
-    q, r = np.linalg.qr(matrix) if keep else (np.zeros((z.size, 0)), np.zeros((0, 0)))
-    size = np.abs(np.diag(r))
-    q = q[:, size > 1e-10 * max(size.max(initial=0.0), 1e-300)]
+    q = orthonormal_basis(matrix)
     return Frame(z, q, fitted.z.size)
 
 

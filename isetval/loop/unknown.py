@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
+from isetval.loop.gaussian import square
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Frame
 
@@ -182,14 +183,14 @@ def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01, sec
     here = _family_squares(problem, residual)
     there = _family_squares(second.problem, second.residual) if second is not None else {}
     out = []
-    for family, (square, n) in here.items():
-        p = float(chi2.sf(square / ALLOWED, n)) * len(here)
+    for family, (total, n) in here.items():
+        p = float(chi2.sf(total / ALLOWED, n)) * len(here)
         if p >= alpha:
             continue
         more, m = there.get(family, (0.0, 0))
-        if m and p > SURE and chi2.sf((square + more) / ALLOWED, n + m) * len(here) >= alpha:
+        if m and p > SURE and chi2.sf((total + more) / ALLOWED, n + m) * len(here) >= alpha:
             continue
-        out.append(f"{family} scatters {np.sqrt(square / n):.2f} times as much as its sigma says ({n} values)")
+        out.append(f"{family} scatters {np.sqrt(total / n):.2f} times as much as its sigma says ({n} values)")
     return out
 
 
@@ -200,9 +201,5 @@ def _family_squares(problem: Problem, residual: Float) -> dict[str, tuple[float,
     out: dict[str, tuple[float, int]] = {}
     for family in dict.fromkeys(families):
         rows = problem.keep[families == family]
-        block = problem.covariance[np.ix_(rows, rows)]
-        scale = np.sqrt(np.diag(block))
-        r = residual[rows] / scale
-        square = float(r @ np.linalg.solve(block / np.outer(scale, scale) + 1e-9 * np.eye(rows.size), r))
-        out[str(family)] = (square, rows.size)
+        out[str(family)] = (square(residual[rows], problem.covariance[np.ix_(rows, rows)]), rows.size)
     return out

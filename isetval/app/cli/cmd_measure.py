@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from isetval.core.metric import Metric, MetricTable
     from isetval.files.loose_files import FileMeasurement
 
-_SKIP = ("summary",)
+_SKIP = ("summary", "count")
 
 
 def register(commands: Any, common: argparse.ArgumentParser) -> None:
