@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
-from isetval.loop.gaussian import square
+from isetval.loop import gaussian
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Frame
 
@@ -201,5 +201,5 @@ def _family_squares(problem: Problem, residual: Float) -> dict[str, tuple[float,
     out: dict[str, tuple[float, int]] = {}
     for family in dict.fromkeys(families):
         rows = problem.keep[families == family]
-        out[str(family)] = (square(residual[rows], problem.covariance[np.ix_(rows, rows)]), rows.size)
+        out[str(family)] = (gaussian.square(residual[rows], problem.covariance[np.ix_(rows, rows)]), rows.size)
     return out

@@ -73,9 +73,8 @@ def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
     for best, chance, others in zip(case.named, case.named_posteriors, case.classes, strict=True):
         candidate = best.candidate
         values = {key: case.fitted.value(key) for key in candidate.keys}
-        effect = candidate.effect.changed(
-            **{p.name: values[key][0] for p, key in zip(candidate.parameters, candidate.keys, strict=True)}
-        )
+        named = zip(candidate.parameters, candidate.keys, strict=True)
+        effect = candidate.effect.changed(**{p.name: values[key][0] for p, key in named})
         effect = effect.changed(
             source="isetval diagnose", fitted_to=tuple(sorted({m.family for m in case.problem.predictor.table.metrics}))
         )

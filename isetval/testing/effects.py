@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import STAGES, Effect
+from isetval.core.effect import STAGES, UNTOUCHED, Effect
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene
 from isetval.core.sensor import Exposure, Sensor
-from isetval.core.signal import UNITS, Signal
+from isetval.core.signal import SPECTRAL_UNITS, UNITS, Signal
 from isetval.core.spectrum import Spectrum
 
 Array = NDArray[Any]
@@ -70,6 +70,10 @@ def _check_declaration(cls: type[Effect]) -> None:
     _need(cls.random in ("none", "sensor", "frame"), f"{where}: random is {cls.random!r}; it needs none, sensor or frame")
     if cls.stage != "scene":
         _need({cls.acts_on, cls.gives} <= set(UNITS), f"{where}: acts_on {cls.acts_on!r}, gives {cls.gives!r}; units are {UNITS}")
+    _need(
+        set(cls.must_not_change) <= set(UNTOUCHED),
+        f"{where}: must_not_change is {cls.must_not_change}; it needs some of {UNTOUCHED}",
+    )
     own_doc = cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
     _need(own_doc and cls.equation and cls.reference, f"{where}: a docstring, an equation and a reference are needed")
     for info in cls.parameters():
@@ -186,6 +190,12 @@ def _check_signal(effect: Effect) -> None:
     same = all(np.array_equal(a, layer.amplitude) for a, layer in zip(before, signal.layers, strict=True))
     _need(same, f"effect {effect.name}: it writes into the signal it was given; make a new one")
     _need(np.all(np.isfinite(after.values)), f"effect {effect.name}: values that are not finite")
+    if effect.acts_on in SPECTRAL_UNITS and after.unit in SPECTRAL_UNITS:
+        stated = effect.apply(signal.filtered(leak=0.5), context).filters.leak - after.filters.leak
+        _need(
+            stated == 0.5, f"effect {effect.name}: what other effects state of the filters is lost; derive from the signal it got"
+        )
+        _need(after.wavelength_nm is not None, f"effect {effect.name}: the light has lost its wavelengths")
     if effect.stage in ("exposure", "electronics", "file"):
         single = _out(effect, dtype=np.float32).dtype
         _need(single == np.float32, f"effect {effect.name}: single precision becomes {single}; keep the signal's")

@@ -1,5 +1,6 @@
 """What an effect says it leaves alone, it leaves alone: the whole nominal chain with and without it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from isetval.camera.chain import ShotSetup, electronics, make_context, mean_electrons
 from isetval.camera.model_file import load_model
 from isetval.core.campaign import Light, Shot
-from isetval.core.scene import EdgeTarget
+from isetval.core.effect import UNTOUCHED
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
 from isetval.effects import catalogue
@@ -16,17 +18,16 @@ from isetval.effects import catalogue
 DATA = Path(__file__).parents[2] / "data" / "pixel4a"
 LIGHT = Light("A", Spectrum(np.array([390.0, 710.0]), np.array([0.001, 0.004])))
 CORNER = (2700, 3600, 64, 64)
+MIDDLE = (1480, 1984, 64, 64)
+GREY = ChartTarget("c", (Patch("grey", (16, 48, 16, 48), Spectrum.flat(0.2)),))
 SHOTS = {
     "dark": Shot("dark", "dark", exposure=Exposure(time_s=1.0), window=CORNER),
     "flat": Shot("flat", "flat", exposure=Exposure(time_s=0.02), window=CORNER, light="A"),
+    "chart": Shot("chart", "chart", exposure=Exposure(time_s=0.02), window=MIDDLE, light="A", target=GREY),
     "edge": Shot("edge", "edge", exposure=Exposure(time_s=0.02), window=CORNER, light="A", target=EdgeTarget("e"), focus_um=4.0),
 }
-CLAIMS = [
-    (name, claim)
-    for name, cls in catalogue().items()
-    for claim in getattr(cls, "must_not_change", ())
-    if claim in SHOTS and cls.candidate
-]
+CLAIMS = [(name, claim) for name, cls in catalogue().items() for claim in cls.must_not_change]
+assert {claim for _, claim in CLAIMS} <= set(UNTOUCHED)
 
 
 @pytest.fixture(scope="module")
@@ -41,21 +42,39 @@ def dn(model, shot, mode):
 
 
 def with_effect(camera, name):
+    """The camera with parameters of one effect moved: by their plausible scales, by a tenth, or the effect taken out."""
     standing = camera.effect(name)
+    if standing is not None and not standing.candidate:
+        moved = {p.name: 1.1 * standing.values()[p.name] for p in standing.parameters()}
+        return camera.with_effect(standing.changed(**moved)) if moved else camera.without(name)
     effect = standing or catalogue()[name](**{p.name: p.null for p in catalogue()[name].parameters() if not p.shape})
     moved = {p.name: effect.values()[p.name] + p.tau for p in effect.parameters() if p.tau is not None and not p.shape}
     return camera.with_effect(effect.changed(**moved))
+
+
+def fall_off(model):
+    """Mean of a flat at the corner over that in the middle."""
+    middle = replace(SHOTS["flat"], window=MIDDLE)
+    corner, center = (dn(model, shot, "expected").mean() - 64.0 for shot in (SHOTS["flat"], middle))
+    return corner / center
+
+
+def check_edge(camera, changed):
+    """The same edge but for level and contrast: after = a + b before, within a thousandth of the contrast."""
+    before, after = (dn(model, SHOTS["edge"], "expected")[::2, 1::2] for model in (camera, changed))
+    b, a = np.polyfit(before.ravel(), after.ravel(), 1)
+    assert np.abs(after - a - b * before).max() < 1e-3 * np.ptp(after)
+    assert b > 0.5
 
 
 @pytest.mark.parametrize(("name", "claim"), CLAIMS, ids=str)
 def test_claim(camera, name, claim):
     changed = with_effect(camera, name)
     if claim == "edge":
-        before, after = (dn(model, SHOTS["edge"], "expected")[::2, 1::2] for model in (camera, changed))
-        # the same edge but for level and contrast: after = a + b before, within a thousandth of the contrast
-        b, a = np.polyfit(before.ravel(), after.ravel(), 1)
-        assert np.abs(after - a - b * before).max() < 1e-3 * np.ptp(after)
-        assert b > 0.5
+        check_edge(camera, changed)
+        return
+    if claim == "illumination":  # a thousandth: what the fall-off of an effect of optics would exceed by far
+        assert fall_off(changed) == pytest.approx(fall_off(camera), rel=1e-3)
         return
     if catalogue()[name].stage == "file":  # acts on whole codes
         camera, changed = (model.replace(model.effect("quantization").changed(step_dn=1.0)) for model in (camera, changed))

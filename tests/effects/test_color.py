@@ -124,3 +124,25 @@ def test_infrared_leak_is_an_added_efficiency_beyond_700_nm(place, light, quantu
     out = effect.apply(IrLeak(eps=0.02).apply(light(np.ones(4), grid), place()), place()).values[:, 0, 0]
     photons = (710 * 10 + 720 * 5) * 1e-9 / (6.62607015e-34 * 299792458.0)  # trapezoid weights 10 and 5 nm
     np.testing.assert_allclose(out, 0.02 * photons * 1.96e-12 * 0.1)
+
+
+def test_an_effect_between_leak_and_quantum_efficiency_keeps_the_leak(place, light, quantum):
+    """What effects state of the filters travels with the light: one that makes plain values of it loses nothing."""
+    qe = quantum("wavelength_nm,R,G,B", [(400, 0.2, 0.3, 0.4), (800, 0.2, 0.3, 0.4)])
+    grid = (690.0, 710.0)
+    leaking = IrLeak(eps=0.1).apply(light((1.0, 1.0), grid), place())
+    between = leaking.with_values(0.9 * leaking.values)  # a haze that samples the light
+    plain, hazy = (qe.apply(signal, place()).values[:, 0, 0] for signal in (leaking, between))
+    np.testing.assert_allclose(hazy, 0.9 * plain, rtol=1e-12)
+    weight = np.array(grid)  # photons per energy go as the wavelength; two bands, one of them beyond the filter
+    np.testing.assert_allclose(
+        plain[1], plain[0] * (0.3 * weight.sum() + 0.1 * weight[1]) / (0.2 * weight.sum() + 0.1 * weight[1])
+    )
+
+
+def test_changes_of_the_filters_add_up(place, light):
+    twice = IrLeak(eps=0.02).apply(IrLeak(eps=0.01).apply(light(), place()), place())
+    assert twice.filters.leak == pytest.approx(0.03)
+    moved = CfaAngleShift(delta_nm=-4.0).apply(twice, place())
+    np.testing.assert_allclose(moved.filters.shift_nm, -4.0 * place().field_radius() ** 2)
+    assert moved.filters.leak == twice.filters.leak

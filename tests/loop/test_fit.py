@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from isetval.loop.fit import Free, far_values, fit, jacobian, made_parallel
+from isetval.core.parameter import Parameter
+from isetval.loop.fit import far_values, fit, jacobian, made_parallel
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 
@@ -20,7 +21,7 @@ class BentCamera:
     def __init__(self):
         self.calls = 0
 
-    def derivative_vectors(self, points, seeds, roles=None):
+    def derivative_vectors(self, points, seeds, of_noise=False):
         self.calls += len(points)
         return [self.at(p.values.get(FOCUS, 0.0), p.values.get(SHIFT, 0.0)) for p in points]
 
@@ -40,7 +41,10 @@ def problem(focus, shift):
     return Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(rows), whiten, base.mean, base.covariance)
 
 
-FREE = (Free(FOCUS, 0.5, 0.5), Free(SHIFT, 0.5, 0.5))
+FREE = (
+    Parameter("focus_um", scope="measurement session", group="A", only=("edge",), prior=0.5, step=0.5, curved=True, focus=True),
+    Parameter("edge_shift_px", scope="set-up", group="e", only=("edge",), prior=0.5, step=0.5, curved=True),
+)
 
 
 @pytest.mark.parametrize("focus", [0.3, -2.0, 3.6])

@@ -1,12 +1,10 @@
 """The factor between the scatter of simulated campaigns and the stated covariance."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from isetval.core.metric import Metric
-from isetval.loop.prediction import Predictor
+from isetval.loop.scatter import scatter
 
 ROWS, REPLICAS = 200, 40
 FREQUENCIES = 10
@@ -14,7 +12,7 @@ FREQUENCIES = 10
 
 def factors(values, covariance, shots):
     metrics = [Metric("m", 0.5, 0.01, "1", family="mtf", shot=shot) for shot in shots]
-    return Predictor._scatter(SimpleNamespace(table=SimpleNamespace(metrics=metrics)), values, covariance)
+    return scatter(values, covariance, metrics)
 
 
 def factor(values, covariance):
@@ -47,3 +45,9 @@ def test_a_shot_that_scatters_more_than_its_family_keeps_its_own_factor():
     found = factors(values, np.eye(ROWS), ["vertical"] * (ROWS // 2) + ["horizontal"] * (ROWS // 2))
     assert found[0] == pytest.approx(1.0, abs=0.06)
     assert found[-1] == pytest.approx(2.0, abs=0.1)
+
+
+def test_numbers_of_rare_things_keep_their_sigma():
+    metrics = [Metric("n", 3.0, 1.0, "2 sqrt(count + 3/8)", family="outliers", shot="s", count=True)] * ROWS
+    values = 3.0 * np.random.default_rng(6).standard_normal((REPLICAS, ROWS))
+    np.testing.assert_array_equal(scatter(values, np.eye(ROWS), metrics), 1.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import isetval
+from isetval.core.campaign import Campaign
 from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.evidence import log_hessian, refit
 from isetval.loop.fit import fit
@@ -32,7 +33,7 @@ class LinearCamera:
         self.plan, self.nominal = plan, nominal
         self.table = SimpleNamespace(metrics=())
 
-    def derivative_vectors(self, points, seeds, roles=None):
+    def derivative_vectors(self, points, seeds, of_noise=False):
         return [
             sum((self.offset(p.model, key) / UNIT * column for key, column in COLUMNS.items()), np.zeros(ROWS)) for p in points
         ]
@@ -48,7 +49,7 @@ def case():
     model = isetval.load_model(isetval_data() / "camera.toml")
     wanted = {c.name: c for c in candidates_for(model)}
     chosen = [wanted[key.split(".")[0]] for key in COLUMNS]
-    plan = SimpleNamespace(nuisances=(), shots=())
+    plan = Campaign("plan", ())
     measured = 10.0 * np.eye(ROWS)[0] + 6.0 * np.eye(ROWS)[1]
     base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
     problem = Problem(

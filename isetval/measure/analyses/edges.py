@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
-from isetval.core.metric import Block, Metric
+from isetval.core.metric import Block, Differences, Metric
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.edge import SfrResult, sfr_batch
 
@@ -60,7 +60,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         raise MeasurementError(f"no edge can be measured ({'; '.join(reasons)})")
     shifts = _lateral_color(conditions, places)
     correlation = block_diagonal([*blocks, np.eye(len(shifts))])
-    return Block((*rows, *shifts), correlation, choices=made)
+    return Block((*rows, *shifts), correlation, choices=made, differences=Differences(one_frame=True, noise_free=True))
 
 
 def _channel(

@@ -10,13 +10,16 @@ import numpy as np
 
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, plane_view
-from isetval.core.metric import Block, Metric
+from isetval.core.metric import Block, Differences, Metric
 from isetval.core.quantity import Quantity
 from isetval.measure.conditions import metric, shot_conditions, window_label
 from isetval.measure.noise.specimen import specimen_loadings
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics
 
 ROLES = ("dark", "flat")
+DRAWS = {"dark": 12, "flat": 4}
+"""Specimens over which differences of a rare pattern are averaged: a few hot pixels scatter by 1/sqrt(draws); a dark costs a
+tenth of a flat."""
 PLATEAU_SIGMA_DN = 0.3  # a clipped plane has no noise of its own: rounding
 SATURATED = 0.5
 TOUCHED = 1e-3
@@ -90,7 +93,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     for plane, here, there in links:
         correlation[np.ix_(here, here)] = statistics[plane].correlation[np.ix_(there, there)]
     columns = {label: _column(entries, len(rows)) for label, entries in shared.items()}
-    return Block(tuple(rows), correlation, columns)
+    return Block(tuple(rows), correlation, columns, differences=Differences(draws=DRAWS[shot.role]))
 
 
 def _clipped(captures: Sequence[Capture], plane: str) -> float:
@@ -138,6 +141,6 @@ def _counts(shot: Shot, conditions: dict[str, Any], plane: str, statistics: Plan
         if math.isfinite(fraction):
             root = 2 * math.sqrt(fraction * statistics.pixels + 0.375)
             own, family = math.sqrt(1 - common), f"{shot.role}_{name}"
-            row = metric(conditions, name, root, own, "2 sqrt(count + 3/8)", channel=plane, family=family)
+            row = metric(conditions, name, root, own, "2 sqrt(count + 3/8)", channel=plane, family=family, count=True)
             rows.append((row, math.sqrt(common)))
     return rows

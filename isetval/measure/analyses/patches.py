@@ -11,7 +11,7 @@ import numpy as np
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
-from isetval.core.metric import Block, Metric
+from isetval.core.metric import Block, Differences, Metric
 from isetval.measure.color import line_profile, patches_over_frames
 from isetval.measure.conditions import metric, shot_conditions, window_label
 
@@ -46,7 +46,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         if fixed_dn > 0:
             shared[pattern] = np.zeros(len(found))
             shared[pattern][i] = fixed_dn
-    return Block(tuple(row for row, _, _ in found), shared=shared)
+    return Block(tuple(row for row, _, _ in found), shared=shared, differences=Differences(one_frame=True))
 
 
 def _patch_rows(shot: Shot, captures: Sequence[Capture], conditions: dict[str, Any]) -> list[Found]:
