@@ -15,7 +15,7 @@ from isetval.core.effect import STAGES, UNTOUCHED, Effect
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene
 from isetval.core.sensor import Exposure, Sensor
-from isetval.core.signal import SPECTRAL_UNITS, UNITS, Signal
+from isetval.core.signal import UNITS, Signal
 from isetval.core.spectrum import Spectrum
 
 Array = NDArray[Any]
@@ -190,7 +190,7 @@ def _check_signal(effect: Effect) -> None:
     same = all(np.array_equal(a, layer.amplitude) for a, layer in zip(before, signal.layers, strict=True))
     _need(same, f"effect {effect.name}: it writes into the signal it was given; make a new one")
     _need(np.all(np.isfinite(after.values)), f"effect {effect.name}: values that are not finite")
-    if effect.acts_on in SPECTRAL_UNITS and after.unit in SPECTRAL_UNITS:
+    if effect.acts_on == effect.gives == "irradiance":
         stated = effect.apply(signal.filtered(leak=0.5), context).filters.leak - after.filters.leak
         _need(
             stated == 0.5, f"effect {effect.name}: what other effects state of the filters is lost; derive from the signal it got"

@@ -45,7 +45,7 @@ def with_effect(camera, name):
     """The camera with parameters of one effect moved: by their plausible scales, by a tenth, or the effect taken out."""
     standing = camera.effect(name)
     if standing is not None and not standing.candidate:
-        moved = {p.name: 1.1 * standing.values()[p.name] for p in standing.parameters()}
+        moved = {p.name: min(1.1 * standing.values()[p.name], p.high) for p in standing.parameters()}
         return camera.with_effect(standing.changed(**moved)) if moved else camera.without(name)
     effect = standing or catalogue()[name](**{p.name: p.null for p in catalogue()[name].parameters() if not p.shape})
     moved = {p.name: effect.values()[p.name] + p.tau for p in effect.parameters() if p.tau is not None and not p.shape}
