@@ -71,7 +71,7 @@ def chart_target(place: str) -> tuple[str, list[int]]:
     high = np.max([p.max(axis=0) for p in greys.values()], axis=0)
     row0, col0 = even(low - 6)
     window = [row0, col0, *even(high - low + 12)]
-    lines = [f"[target.{place}]", 'kind = "scene"', f'file = "../scenes/chart_{place}.toml"']
+    lines = [f"[target.{place}]", 'kind = "scene"', f'file = "isetval:scenes/chart_{place}.toml"']
     for name, points in greys.items():
         middle, half = points.mean(axis=0) - [row0, col0], 0.32 * np.ptp(points, axis=0)
         box = [round(v) for v in (middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1])]
@@ -111,7 +111,7 @@ def main() -> None:
         shots += SHOT.format(
             name=f"chart_{place}", role="scene", setup=f"chart_{place}", target=place, time=0.04, frames=3, window=window
         )
-    text += '[target.edges]\nkind = "scene"\nfile = "../scenes/slanted_edges.toml"\n\n'
+    text += '[target.edges]\nkind = "scene"\nfile = "isetval:scenes/slanted_edges.toml"\n\n'
     text += "# focus_um: shift of the sensor from the edge's image, f^2 (1/near - 1/far) with f 4.38 mm; 0 where it is sharp\n"
     shift = FOCAL_MM**2 * (1 / 0.3 - 1 / 0.5)
     for focus in ("0.5", "0.3"):

@@ -10,7 +10,7 @@ from typing import Any
 from isetval.camera.model import CameraModel
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
-from isetval.core.paths import resolve_path
+from isetval.core.paths import named_file, resolve_path
 from isetval.core.sensor import Sensor
 from isetval.core.toml import check_keys, number, read_toml, text, texts
 
@@ -63,6 +63,16 @@ def read_sensor(table: Any, where: str) -> Sensor:
 def make_effect(name: str, values: Mapping[str, Any], where: str, base: Path | None = None) -> Effect:
     """An effect of the catalogue by name.
 
+    Parameters
+    ----------
+    name : str
+    values : mapping
+        Parameters and files.
+    where : str
+        For messages.
+    base : Path, optional
+        Folder of the file that names the effect; its tables lie there.  Without it a person gave the paths.
+
     Raises
     ------
     InputError
@@ -84,7 +94,7 @@ def make_effect(name: str, values: Mapping[str, Any], where: str, base: Path | N
     settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     for key in cls.files():
         if settings.get(key):
-            file = resolve_path(str(settings[key]), base or Path())
+            file = named_file(str(settings[key]), base) if base is not None else resolve_path(str(settings[key]), Path())
             if not file.is_file():
                 raise InputError(f"{where}: effect {name}: {key} names {file}, which does not exist; correct the path")
     settings["base"] = str(base or Path())

@@ -9,7 +9,9 @@ from typing import Any, Protocol
 
 from isetval.camera.chain import Camera
 from isetval.core.effect import Effect
-from isetval.core.paths import named_path, resolve_path
+from isetval.core.errors import InputError
+from isetval.core.hashing import file_hash
+from isetval.core.paths import PACKAGE_PREFIX, named_path, resolve_path
 from isetval.core.sensor import Sensor
 from isetval.core.writing import write_whole
 
@@ -26,12 +28,13 @@ class FiledCamera(Camera, Protocol):
 def save_model(model: FiledCamera, path: Path | str, *, steps: Mapping[str, Mapping[str, Any]] | None = None) -> None:
     """Write a model; if it was read from a file, that file's comments and order of keys are kept.
 
-    ``steps`` maps an effect's name to further keys of its table (sigma, provenance).
+    ``steps`` maps an effect's name to further keys of its table (sigma, provenance).  Tables of numbers that lie
+    outside the new file's folder are copied beside it: a model file names nothing elsewhere.
 
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file cannot be written, or another file stands where a table would be copied to.
     """
     import tomlkit
 
@@ -73,7 +76,7 @@ def _fill(table: Any, effect: Effect, folder: Path, step: Mapping[str, Any]) -> 
     wanted |= {key: value for key, value in effect.values().items() if value != defaults[key] or key in table or step}
     for key in effect.files():
         if getattr(effect, key):
-            wanted[key] = named_path(resolve_path(getattr(effect, key), Path(effect.base)), folder)
+            wanted[key] = _beside(resolve_path(getattr(effect, key), Path(effect.base)), folder)
     known = {*effect.values(), *effect.files(), "source", "fitted_to", "base"}
     for item in dataclasses.fields(effect):
         if item.name not in known and getattr(effect, item.name) != item.default:
@@ -85,3 +88,15 @@ def _fill(table: Any, effect: Effect, folder: Path, step: Mapping[str, Any]) -> 
     for key, value in (wanted | dict(step)).items():
         if table.get(key) != value:
             table[key] = value
+
+
+def _beside(file: Path, folder: Path) -> str:
+    """How a model file in ``folder`` names ``file``; copied there where it lies elsewhere."""
+    name = named_path(file, folder)
+    if name.startswith(PACKAGE_PREFIX) or file.resolve().is_relative_to(folder.resolve()):
+        return name
+    copy = folder / file.name
+    if copy.exists() and file_hash(copy) != file_hash(file):
+        raise InputError(f"{copy}: stands where {file} would be copied to, and differs; move it, or write the model elsewhere")
+    write_whole(copy, file.read_bytes())
+    return file.name

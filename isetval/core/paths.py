@@ -17,8 +17,19 @@ def data_folder() -> Path:
     return inside_package if inside_package.is_dir() else package.parent / "data"
 
 
+def named_file(name: str, folder: Path) -> Path:
+    """A file that a file in ``folder`` names: ``isetval:`` is the embedded data, anything else lies in the folder.
+
+    Raises
+    ------
+    InputError
+        As `inside`: what a file names may lead nowhere else, whoever wrote it.
+    """
+    return inside(data_folder(), name.removeprefix(PACKAGE_PREFIX)) if name.startswith(PACKAGE_PREFIX) else inside(folder, name)
+
+
 def resolve_path(name: str, base: Path) -> Path:
-    """A file named in a TOML file: ``isetval:`` is the embedded data, else relative to ``base``."""
+    """A file that a person or a checked file names: ``isetval:`` is the embedded data, else relative to ``base``."""
     if name.startswith(PACKAGE_PREFIX):
         return inside(data_folder(), name.removeprefix(PACKAGE_PREFIX))
     return Path(name) if Path(name).is_absolute() else base / name

@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from isetval.camera.model import CameraModel
 from isetval.camera.model_file import load_model, read_sensor
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.paths import resolve_path
+from isetval.core.paths import inside, named_file
 from isetval.core.region import Window
 from isetval.core.scene import Target
 from isetval.core.sensor import Exposure, Sensor
@@ -28,15 +29,22 @@ _SHOT_KEYS = (
 _NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "notes")
 
 
-def load_campaign(path: Path | str) -> Campaign:
+def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Campaign:
     """Read a campaign or a plan: a folder with ``campaign.toml``, or the file itself.
 
     The DNG files are opened when their shot is measured; that they exist is checked here.
 
+    Parameters
+    ----------
+    path : path
+    camera : CameraModel, optional
+        Stands in for a camera that the file names outside its folder, which is not opened.
+
     Raises
     ------
     InputError
-        For unknown keys, missing files, unknown lights or targets, or values that make no sense.
+        For unknown keys, missing files, names that lead out of the folder, unknown lights or targets, or values that
+        make no sense.
     """
     path = Path(path)
     if path.is_dir():
@@ -44,7 +52,7 @@ def load_campaign(path: Path | str) -> Campaign:
         if not path.is_file():
             raise InputError(f"{path.parent}: holds no campaign.toml; make one with 'isetval campaign init {path.parent}'")
     table = check_keys(read_toml(path), str(path), known=_KEYS, needed=("shot",))
-    sensor, camera = _sensor(table, path)
+    sensor, named = _sensor(table, path, camera)
     lights = {name: _light(name, entry, path) for name, entry in _tables(table, "light", path).items()}
     targets = {name: read_target(name, entry, path) for name, entry in _tables(table, "target", path).items()}
     if not isinstance(table["shot"], list) or not table["shot"]:
@@ -61,7 +69,7 @@ def load_campaign(path: Path | str) -> Campaign:
                 _nuisance(entry, f"{path}: [[nuisance]] number {i}") for i, entry in enumerate(table.get("nuisance", []), 1)
             ),
             sensor=sensor,
-            camera=camera,
+            camera=named,
             folder=path.parent,
         )
     except InputError as error:
@@ -116,13 +124,20 @@ def _check_exposure(found: Exposure, shot: Shot, path: Path) -> None:
             )
 
 
-def _sensor(table: Mapping[str, Any], path: Path) -> tuple[Sensor | None, str]:
+def _sensor(table: Mapping[str, Any], path: Path, given: CameraModel | None) -> tuple[Sensor | None, str]:
+    """The sensor, and the camera model as the file names it (empty where another stands in for it)."""
     camera = text(table, "camera", str(path))
+    try:
+        file = named_file(camera, path.parent) if camera else None
+    except InputError as error:
+        if given is None and "sensor" not in table:
+            raise InputError(f"{path}: camera: {error}; or state its [sensor] here") from None
+        file, camera = None, ""
+        if given is not None and "sensor" not in table:
+            return given.sensor, ""
     if "sensor" in table:
         return read_sensor(table["sensor"], f"{path}: [sensor]"), camera
-    if camera:
-        return load_model(resolve_path(camera, path.parent)).sensor, camera
-    return None, ""
+    return (None, "") if file is None else (load_model(file).sensor, camera)
 
 
 def _sensor_of_files(shots: tuple[Shot, ...], path: Path) -> Sensor:
@@ -167,11 +182,11 @@ def _light(name: str, entry: Any, path: Path) -> Light:
     if isinstance(radiance, int | float) and not isinstance(radiance, bool):
         return Light(name, Spectrum.flat(float(radiance)))
     file = text(entry, "radiance", where)
-    spectra = read_spectra(resolve_path(file, path.parent))
+    spectra = read_spectra(named_file(file, path.parent))
     column = text(entry, "column", where) or next(iter(spectra))
     if column not in spectra:
         raise InputError(f"{where}: {file} has no column {column!r}; it has {', '.join(spectra)}")
-    return Light(name, spectra[column], file=str(resolve_path(file, path.parent)), column=column)
+    return Light(name, spectra[column], file=str(named_file(file, path.parent)), column=column)
 
 
 def _nuisance(entry: Any, where: str) -> Nuisance:
@@ -194,7 +209,7 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
     entry = check_keys(entry, where, known=_SHOT_KEYS, needed=("role",))
     files = texts(entry, "files", where)
     for file in files:
-        if not (path.parent / file).is_file():
+        if not inside(path.parent, file).is_file():
             raise InputError(f"{where}: names {file}, which is not in {path.parent}; correct the name or put the file there")
     target = text(entry, "target", where)
     if target and target not in targets:

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from isetval.core.campaign import Light, Nuisance, Shot
-from isetval.core.paths import PACKAGE_PREFIX, named_path
+from isetval.core.paths import PACKAGE_PREFIX, inside, named_path
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Target
 from isetval.core.spectrum import Spectrum
 from isetval.core.toml import read_toml
 from isetval.core.writing import write_whole
+from isetval.scenes.render.scene_file import files_beside
 
 FLAT_NM = 550.0
 
@@ -189,7 +190,7 @@ def _scene_file(target: RenderedTarget, spectra: Spectra) -> str:
     if source is None:
         import tomlkit
 
-        name = f"{target.name}.scene.toml"
+        name = f"{file_stem(target.name)}.scene.toml"
         write_whole(spectra.folder / name, tomlkit.dumps(dict(target.spec)))
         return name
     named = named_path(source, spectra.folder)
@@ -197,20 +198,8 @@ def _scene_file(target: RenderedTarget, spectra: Spectra) -> str:
         return named
     folder = spectra.folder / "scenes"
     folder.mkdir(exist_ok=True)
-    shutil.copyfile(source, folder / source.name)
-    for file in _named_files(read_toml(source), source.parent):
-        (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source.parent / file, folder / file)
+    for name in (source.name, *files_beside(read_toml(source))):
+        copy = inside(folder, name)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(inside(source.parent, name), copy)
     return f"scenes/{source.name}"
-
-
-def _named_files(value: Any, base: Path) -> set[str]:
-    """Files beside a TOML file that its values name (with or without a ``:column``)."""
-    if isinstance(value, dict):
-        return set().union(*(_named_files(v, base) for v in value.values())) if value else set()
-    if isinstance(value, list):
-        return set().union(*(_named_files(v, base) for v in value)) if value else set()
-    if not isinstance(value, str) or not value or value.startswith((PACKAGE_PREFIX, "/", "..")):
-        return set()
-    name = value.rpartition(":")[0] if ".csv:" in value else value
-    return {name} if name and (base / name).is_file() else set()

@@ -15,7 +15,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
-from isetval.core.paths import PACKAGE_PREFIX, resolve_path
+from isetval.core.paths import PACKAGE_PREFIX, inside, named_file
 from isetval.core.sensor import Sensor
 from isetval.core.writing import write_whole
 from isetval.files.campaign_tables import Spectra, file_stem, light_table, nuisance_table, shot_table, target_table
@@ -214,16 +214,17 @@ def _camera(campaign: Campaign, folder: Path) -> str:
     from isetval.camera.model_file import load_model
     from isetval.camera.model_writer import save_model
 
-    model = load_model(resolve_path(campaign.camera, campaign.folder or Path()))
+    model = load_model(named_file(campaign.camera, campaign.folder or Path()))
     effects = []
     for effect in model.effects:
         changes: dict[str, Any] = {}
         for key in effect.files():
             value = getattr(effect, key)
             if value and not value.startswith(PACKAGE_PREFIX):
-                source = resolve_path(value, Path(effect.base))
-                shutil.copyfile(source, folder / source.name)
-                changes[key] = source.name
+                copy = inside(folder, value)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(named_file(value, Path(effect.base)), copy)
+                changes[key] = value
         effects.append(replace(effect, **changes, base=str(folder)) if changes else effect)
     save_model(replace(model, effects=tuple(effects)), folder / "camera.toml")
     return "camera.toml"

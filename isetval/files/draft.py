@@ -11,6 +11,7 @@ import numpy as np
 
 from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
+from isetval.core.paths import named_file
 from isetval.core.sensor import Exposure
 from isetval.core.writing import write_whole
 from isetval.files.loose_files import RAW_SUFFIXES
@@ -48,13 +49,15 @@ def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str =
     Raises
     ------
     InputError
-        If the folder is missing or holds no DNG that can be read.
+        If the folder is missing or holds no DNG that can be read, or ``camera`` lies outside it.
     """
     from isetval.files.dng import read_dng
 
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; name the folder that holds the DNG files")
+    if camera:
+        named_file(camera, folder)
     files = sorted(p for p in folder.rglob("*") if p.suffix.lower() in RAW_SUFFIXES and not p.name.startswith("."))
     if not files:
         raise InputError(f"{folder}: holds no DNG file; name the folder that holds them")
@@ -118,7 +121,8 @@ def _text(folder: Path, first: Capture, groups: Sequence[list[FileFacts]], camer
     lines = [
         "# Drafted by `isetval campaign init` from what the files say.  Lines marked CHECK need a person;",
         "# everything left out here (targets, spectra, levels, priors) makes a diagnosis weaker or wrong.",
-        f"# Camera of the first file: {about.get('make') or 'unknown maker'}, {about.get('model') or 'unknown model'}.",
+        f"# Camera of the first file: {_comment(about.get('make')) or 'unknown maker'}, "
+        f"{_comment(about.get('model')) or 'unknown model'}.",
         f"name = {_quoted(folder.resolve().name)}",
         "",
     ]
@@ -128,10 +132,16 @@ def _text(folder: Path, first: Capture, groups: Sequence[list[FileFacts]], camer
     return "\n".join(lines) + "\n"
 
 
+def _comment(text: Any) -> str:
+    """Text of a file's tags for a comment: on one line, whatever it holds."""
+    return "".join(c if c.isprintable() else " " for c in str(text or "")).strip()
+
+
 def _quoted(text: str) -> str:
+    """A TOML string (JSON's escapes are TOML's, but for DEL)."""
     import json
 
-    return json.dumps(text)
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
 def _camera_lines(first: Capture, camera: str) -> list[str]:

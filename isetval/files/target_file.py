@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from isetval.core.errors import InputError
-from isetval.core.paths import resolve_path
+from isetval.core.paths import named_file
 from isetval.core.scene import Box, ChartTarget, EdgeTarget, Patch, RenderedTarget, Target
 from isetval.core.spectrum import Spectrum, read_spectra
 from isetval.core.toml import check_keys, number, numbers, read_toml, text
@@ -57,7 +57,7 @@ def _edge(name: str, entry: Mapping[str, Any], where: str, path: Path) -> EdgeTa
 
 def _chart(name: str, entry: Mapping[str, Any], where: str, path: Path) -> ChartTarget:
     entry = check_keys(entry, where, known=_CHART_KEYS, needed=("patch",))
-    table = read_spectra(resolve_path(text(entry, "reflectance", where), path.parent)) if "reflectance" in entry else {}
+    table = read_spectra(named_file(text(entry, "reflectance", where), path.parent)) if "reflectance" in entry else {}
     return ChartTarget(
         name=name,
         patches=_patches(entry, where, path, table),
@@ -68,7 +68,7 @@ def _chart(name: str, entry: Mapping[str, Any], where: str, path: Path) -> Chart
 
 def _scene(name: str, entry: Mapping[str, Any], where: str, path: Path) -> RenderedTarget:
     entry = check_keys(entry, where, known=_SCENE_KEYS, needed=("file",))
-    file = resolve_path(text(entry, "file", where), path.parent)
+    file = named_file(text(entry, "file", where), path.parent)
     lines = []
     for i, line in enumerate(entry.get("line", []), 1):
         line = check_keys(line, f"{where} line {i}", known=("name", "from", "to"), needed=("from", "to"))
@@ -106,7 +106,7 @@ def _reflectance(value: Any, where: str, path: Path) -> Spectrum:
         spectrum = Spectrum.flat(float(value))
     elif isinstance(value, str):
         file, _, column = value.rpartition(":") if ".csv:" in value else (value, "", "")
-        spectra = read_spectra(resolve_path(file, path.parent))
+        spectra = read_spectra(named_file(file, path.parent))
         if column and column not in spectra:
             raise InputError(f"{where}: {file} has no column {column!r}; it has {', '.join(spectra)}")
         spectrum = spectra[column or next(iter(spectra))]

@@ -15,6 +15,7 @@ from isetval.camera.model_writer import save_model
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.hashing import file_hash
+from isetval.core.paths import PACKAGE_PREFIX
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,8 @@ class NewValues:
 
     def words(self) -> str:
         """The values on one line."""
-        parts = [f"{k} {v:.5g}" + (f" +- {self.sigma[k]:.2g}" if k in self.sigma else "") for k, v in self.values.items()]
+        said = {k: v if isinstance(v, str) else f"{v:.5g}" for k, v in self.values.items()}
+        parts = [f"{k} {v}" + (f" +- {self.sigma[k]:.2g}" if k in self.sigma else "") for k, v in said.items()]
         return f"{self.effect} with {', '.join(parts)}" if parts else self.effect
 
 
@@ -89,7 +91,9 @@ def from_settings(effect: str, settings: Sequence[str]) -> NewValues:
                 values[key] = float(value)
             except ValueError:
                 raise InputError(f"--set {word}: {value!r} is no number; {key} needs one in {numbers[key]}") from None
-        elif key in (*effect_class.files(), "source"):
+        elif key in effect_class.files():
+            values[key] = value if value.startswith(PACKAGE_PREFIX) else str(Path(value).resolve())
+        elif key == "source":
             values[key] = value
         else:
             known = [*numbers, *effect_class.files(), "source"]
@@ -127,7 +131,7 @@ def _made(new: NewValues) -> Effect:
     null = type(make_effect(new.effect, {}, "add"))
     start = {p.name: p.null for p in null.parameters() if p.tau is not None and not p.shape} if new.fitted_to else {}
     where = f"effect {new.effect}"
-    effect = make_effect(new.effect, start | dict(new.values), where, Path())
+    effect = make_effect(new.effect, start | dict(new.values), where)
     return effect.changed(source=new.source, fitted_to=new.fitted_to)
 
 

@@ -88,7 +88,7 @@ def load_both(model: str, campaign: str) -> tuple[CameraModel, Campaign, dict[st
     from isetval.files.captures import hashes
 
     loaded = isetval.load_model(model)
-    shots = isetval.load_campaign(campaign)
+    shots = isetval.load_campaign(campaign, camera=loaded)
     file = Path(model) / "camera.toml" if Path(model).is_dir() else Path(model)
     return loaded, shots, {str(file): file_hash(file)} | hashes(shots)
 
@@ -183,7 +183,7 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
     model, campaign, inputs = load_both(args.model, args.campaign)
     holdout = None
     if args.holdout:
-        holdout = isetval.load_campaign(args.holdout)
+        holdout = isetval.load_campaign(args.holdout, camera=model)
         inputs |= hashes(holdout)
     found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say)
     result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from isetval.core.errors import InputError
+from isetval.core.paths import PACKAGE_PREFIX, named_file
 from isetval.core.spectrum import Spectrum, read_spectra
 from isetval.scenes.rendered.box import Block, BoxParameters, Chart, Edge, Mesh, cornell_box, wall_camera
 
@@ -35,7 +36,7 @@ def load_scene(path: str | os.PathLike[str]) -> LoadedScene:
     path : path
         TOML with ``kind = "cornell_box"``, ``[parameters]`` (those of ``BoxParameters``),
         ``[spectra.NAME]`` (``file``, ``column``) and ``[camera.NAME]`` (arguments of ``wall_camera``).
-        File names are relative to the scene file.
+        Files that it names lie in its folder (or are ``isetval:`` data).
 
     Raises
     ------
@@ -75,6 +76,13 @@ def parse_scene(content: Mapping[str, Any], *, file: Path, lamp: Spectrum | None
     return LoadedScene({**spec, "name": str(data.get("name", spec["name"]))}, cameras, str(file), settings)
 
 
+def files_beside(content: Mapping[str, Any]) -> tuple[str, ...]:
+    """Files in a scene file's folder that it names: tables of spectra, meshes."""
+    entries = (*content.get("spectra", {}).values(), *content.get("parameters", {}).get("meshes", ()))
+    names = dict.fromkeys(str(entry["file"]) for entry in entries if entry.get("file"))
+    return tuple(name for name in names if not name.startswith(PACKAGE_PREFIX))
+
+
 def _settings(entry: Mapping[str, Any], cameras: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """How a plan renders the scene: the ``[render]`` table with its defaults."""
     out: dict[str, Any] = {
@@ -111,7 +119,9 @@ def _value(name: str, value: Any, file: Path) -> Any:
     if name in _LISTS:
         if not isinstance(value, list):
             raise InputError(f"{name} is {value!r}; it needs a list of tables")
-        return tuple(_entry(_LISTS[name], {**v, "file": str(file.parent / v["file"])} if "file" in v else v) for v in value)
+        return tuple(
+            _entry(_LISTS[name], {**v, "file": str(named_file(str(v["file"]), file.parent))} if "file" in v else v) for v in value
+        )
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -128,9 +138,10 @@ def _spectra(entries: Mapping[str, Mapping[str, Any]], file: Path) -> dict[str, 
     for name, entry in entries.items():
         if not {"file", "column"} <= entry.keys():
             raise InputError(f"spectra.{name} holds {', '.join(entry) or 'nothing'}; it needs file and column")
-        columns = read_spectra(file.parent / entry["file"])
+        table = named_file(str(entry["file"]), file.parent)
+        columns = read_spectra(table)
         if entry["column"] not in columns:
-            found = f"{file.parent / entry['file']} has the columns {', '.join(columns)}"
+            found = f"{table} has the columns {', '.join(columns)}"
             raise InputError(f"spectra.{name}: column is {entry['column']!r}; {found}")
         out[name] = columns[entry["column"]]
     return out
