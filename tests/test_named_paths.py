@@ -15,7 +15,7 @@ from isetval.core.scene import RenderedTarget
 from isetval.files.campaign_writer import write_campaign
 from isetval.files.dng import DngInfo
 from isetval.files.draft import draft_campaign
-from isetval.scenes.render.scene_file import load_scene
+from isetval.scenes.rendered.scene_file import load_scene
 
 CAMERA = data_folder() / "pixel4a" / "camera.toml"
 SENSOR = """

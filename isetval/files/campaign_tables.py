@@ -18,7 +18,7 @@ from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, T
 from isetval.core.spectrum import Spectrum
 from isetval.core.toml import read_toml
 from isetval.core.writing import write_whole
-from isetval.scenes.render.scene_file import files_beside
+from isetval.scenes.rendered.scene_file import files_beside
 
 FLAT_NM = 550.0
 
