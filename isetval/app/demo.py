@@ -210,7 +210,8 @@ def _loop(
     nominal: CameraModel, campaign: Campaign, own: OwnFiles, jobs: int, step: Say, say: Say
 ) -> tuple[Comparison, Diagnosis, Comparison, CameraModel]:
     import isetval
-    from isetval.loop.comparison import comparison_of, prepare
+    from isetval.loop.comparison import comparison_of
+    from isetval.loop.prepared import prepare
 
     first, second = campaign.sessions[:2]
     with prepare(nominal, campaign.session(second), jobs=jobs, say=say) as held:

@@ -61,7 +61,7 @@ def from_diagnosis(effect: str, path: Path | str) -> NewValues:
         {name: p["value"] for name, p in parameters.items()},
         {name: p["sigma"] for name, p in parameters.items()},
         source=f"diagnosed from the campaign {result.get('campaign', '(unnamed)')}",
-        fitted_to=(str(result.get("campaign", "diagnosis")),),
+        fitted_to=tuple(map(str, named[effect].get("fitted_to") or [result.get("campaign", "diagnosis")])),
         provenance={
             "diagnosis": Path(path).name,
             "diagnosis_sha256": file_hash(path),

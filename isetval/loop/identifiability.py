@@ -13,11 +13,11 @@ from isetval.camera.model import CameraModel
 from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign
 from isetval.loop.candidates import candidates_for, signatures
-from isetval.loop.comparison import prepare
 from isetval.loop.evidence import smallest_detectable
 from isetval.loop.fit import fit, nuisance_parameters
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prediction import Point
+from isetval.loop.prepared import prepare
 from isetval.loop.result import NextCapture
 from isetval.loop.score_test import cosine, make_frame, score
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Candidate, Signature
-from isetval.loop.comparison import Prepared
 from isetval.loop.evidence import Refit
 from isetval.loop.fit import Fit, far_values, fit
 from isetval.loop.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
+from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.result import CandidateRow
 from isetval.loop.score_test import Frame, make_frame

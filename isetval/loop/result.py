@@ -127,4 +127,5 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         "equivalent": list(effect.equivalent),
         "present_in_model": effect.present,
         "dchi2": effect.dchi2,
+        "fitted_to": list(effect.effect.fitted_to),
     }

@@ -8,9 +8,10 @@ from typing import Any
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Signature
-from isetval.loop.comparison import Prepared, ladder_rows
 from isetval.loop.investigation import Case, second_session
+from isetval.loop.ladder import captures_of, ladder_rows
 from isetval.loop.next_captures import next_captures
+from isetval.loop.prepared import Prepared
 from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter
 from isetval.loop.score_test import cosine
 from isetval.loop.unknown import Finding, family_excess
@@ -27,10 +28,10 @@ def account_of(case: Case, gate: Mapping[str, Any], leftovers: list[Finding], *,
     words = [f.words for f in leftovers] + excess
     say("drawing the ladder")
     models = [nominal] if model is nominal else [nominal, model]
-    ladder = tuple(ladder_rows(prepared, models, role="calibration"))
+    ladder = tuple(ladder_rows(prepared, models))
     confirm: dict[str, Any] = {}
     if held is not None:
-        ladder += tuple(ladder_rows(held, models, role="prediction"))
+        ladder += tuple(ladder_rows(held, models))
         confirm = _confirm(held, models)
     if more and case.named:
         say("searching captures that tell the closest candidates apart")
@@ -75,9 +76,7 @@ def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
         values = {key: case.fitted.value(key) for key in candidate.keys}
         named = zip(candidate.parameters, candidate.keys, strict=True)
         effect = candidate.effect.changed(**{p.name: values[key][0] for p, key in named})
-        effect = effect.changed(
-            source="isetval diagnose", fitted_to=tuple(sorted({m.family for m in case.problem.predictor.table.metrics}))
-        )
+        effect = effect.changed(source="isetval diagnose", fitted_to=_captures(case))
         model = model.with_effect(effect)
         parameters = {
             p.name: NamedParameter(*values[key], p.unit, float(nominal))
@@ -89,6 +88,12 @@ def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
     if effects:
         model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
     return model, effects
+
+
+def _captures(case: Case) -> tuple[str, ...]:
+    """What the named effects were fitted to, as model files state it."""
+    campaign = case.prepared.campaign
+    return tuple(captures_of(campaign.name, session) for session in campaign.sessions)
 
 
 def _confirm(held: Prepared, models: Sequence[CameraModel]) -> dict[str, Any]:

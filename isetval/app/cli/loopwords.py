@@ -8,6 +8,11 @@ from typing import Any
 from isetval.app.cli.tables import text_table
 from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, state_of, with_sigma
 
+FITTED = {
+    "prediction": "nothing was fitted to these captures",
+    "calibration": "an effect of one of these models was fitted to these captures",
+}
+
 
 def gate_line(gate: Mapping[str, Any]) -> str:
     """The repeat gate in one line."""
@@ -21,15 +26,16 @@ def gate_line(gate: Mapping[str, Any]) -> str:
 
 
 def ladder_table(ladder: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Families against models: mean-square z and rms relative error."""
+    """Families against models: mean-square z and rms relative error, captures that were fitted to apart from others."""
     out: list[str] = []
-    for role in dict.fromkeys(row["role"] for row in ladder):
-        rows = [row for row in ladder if row["role"] == role]
+    for role, captures in dict.fromkeys((row["role"], row.get("captures", "")) for row in ladder):
+        rows = [row for row in ladder if (row["role"], row.get("captures", "")) == (role, captures)]
         models = list(dict.fromkeys(row["model"] for row in rows))
         families = list(dict.fromkeys(row["family"] for row in rows))
         cell = {(row["family"], row["model"]): row for row in rows}
-        what = "nothing was fitted to these captures" if role == "prediction" else "in-sample: effects were fitted to these"
-        out.append(f"# mean-square z (1 = agrees within the error bars, ! fails) and rms relative error; {role}: {what}")
+        where = f" ({captures})" if captures else ""
+        out.append("# mean-square z (1 = agrees within the error bars, ! fails) and rms relative error")
+        out.append(f"  {role}: {FITTED[role]}{where}")
         body = []
         for family in families:
             entries = [cell.get((family, m)) for m in models]
@@ -149,8 +155,7 @@ def demo_lines(result: Mapping[str, Any]) -> list[str]:
         lines.append(f"  {effect_words(effect)} (posterior {effect['posterior']:.2f}{also})")
     if diagnosis["leftover"]:
         lines.append(f"  left over: {diagnosis['leftover']}")
-    held = [row for row in result["after"]["ladder"] if row["role"] == "prediction"]
-    lines += ["", *ladder_table(held), ""]
+    lines += ["", *ladder_table(result["after"]["ladder"]), ""]
     named = [e["name"] for e in diagnosis["effects"]]
     right = hidden["name"] in named or any(hidden["name"] in e["equivalent"] for e in diagnosis["effects"])
     truth = ", ".join(f"{k} {p['value']:.4g} {p['unit']}" for k, p in hidden["parameters"].items())

@@ -70,8 +70,9 @@ def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _held_rows(ladder: Sequence[Row]) -> list[Row]:
+    """Rows of captures that nothing was fitted to, the hold-out where there is one; else all."""
     held = [row for row in ladder if row["role"] == "prediction"]
-    return held or list(ladder)
+    return [row for row in held if row.get("captures") == held[-1].get("captures")] or list(ladder)
 
 
 def _ladder(rows: Sequence[Row]) -> tuple[list[str], list[dict[str, Row]], list[str]]:
