@@ -84,8 +84,9 @@ def make_effect(name: str, values: Mapping[str, Any], where: str, base: Path | N
     if name not in known:
         import difflib
 
-        near = difflib.get_close_matches(name, known, n=3) or sorted(known)
-        raise InputError(f"{where}: effect {name!r} is unknown; near it: {', '.join(near)} (all: isetval effects)")
+        near = difflib.get_close_matches(name, known, n=3) or [k for k in known if name.lower() in k]
+        hint = f"; near it: {', '.join(near)}" if near else ""
+        raise InputError(f"{where}: effect {name!r} is unknown{hint} (all: isetval effects; search: isetval effects WORD)")
     cls = known[name]
     fields = {f.name for f in dataclasses.fields(cls) if f.name != "base"}
     for key in values:

@@ -2,13 +2,17 @@
 
 The fixture ``metric_check`` compares a number with the stored one of the same test and fails outside the
 stored error bars, in words; ``--isetval-update "why"`` stores the present numbers with the reason.
-Stored numbers lie in ``stored_metrics/<test file>.json`` beside the test.
+Stored numbers lie in ``stored_metrics/<test file>.json`` beside the test, by the test's node id within its file
+(``TestLens::test_sharpness[left]``); tests that run at the same time in several processes store one after the other.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
 import math
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -45,6 +49,9 @@ class MetricCheck:
         exact : bool
             The same capture analyzed again: 1e-9 relative is allowed, whatever sigma is.
         """
+        __tracebackhide__ = True  # the failure is in the caller's line
+        if name in self._new:
+            pytest.fail(f"{name}: checked twice in {self._test}; give each number of a test its own name")
         if not math.isfinite(value):
             pytest.fail(f"{name}: now {value} {unit}; a number is needed")
         self._new[name] = {"value": float(value), "sigma": None if sigma is None else float(sigma), "unit": unit}
@@ -65,10 +72,28 @@ class MetricCheck:
             return
         from isetval.core.writing import write_whole
 
-        content = json.loads(self._file.read_text(encoding="utf-8")) if self._file.is_file() else {}
-        content[self._test] = self._new | {"reason": self._reason}
-        self._file.parent.mkdir(exist_ok=True)
-        write_whole(self._file, json.dumps(content, indent=1, sort_keys=True) + "\n")
+        with _alone(self._file):
+            content = json.loads(self._file.read_text(encoding="utf-8")) if self._file.is_file() else {}
+            content[self._test] = self._new | {"reason": self._reason}
+            self._file.parent.mkdir(exist_ok=True)
+            write_whole(self._file, json.dumps(content, indent=1, sort_keys=True) + "\n")
+
+
+@contextlib.contextmanager
+def _alone(file: Path) -> Iterator[None]:
+    """Other processes wait here for the same file; the lock lies in the system's folder for temporary files."""
+    name = hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:16]
+    with open(Path(tempfile.gettempdir()) / f"isetval-metrics-{name}.lock", "a+b") as lock:
+        try:
+            import fcntl
+        except ImportError:  # Windows
+            import msvcrt
+
+            lock.seek(0)
+            msvcrt.locking(lock.fileno(), msvcrt.LK_LOCK, 1)  # type: ignore[attr-defined,unused-ignore]
+        else:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def _difference(name: str, now: Mapping[str, Any], stored: Mapping[str, Any], *, sigmas: float, exact: bool) -> str:
@@ -100,6 +125,7 @@ def metric_check(request: pytest.FixtureRequest) -> Iterator[MetricCheck]:
     if reason is not None and not str(reason).strip():
         raise pytest.UsageError("--isetval-update needs a reason: what changed, and why the new numbers are right")
     path = Path(request.path)
-    check = MetricCheck(path.parent / FOLDER / f"{path.stem}.json", request.node.name, reason)
+    test = request.node.nodeid.partition("::")[2]
+    check = MetricCheck(path.parent / FOLDER / f"{path.stem}.json", test, reason)
     yield check
     check.store()

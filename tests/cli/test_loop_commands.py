@@ -243,6 +243,41 @@ def test_effects_lists_the_catalogue_with_units_and_equations(run_json):
     assert all(r["equation"] and p["unit"] for r in result["effects"] for p in r["parameters"])
 
 
+def test_effects_answers_a_name_with_its_text_and_a_word_with_a_search(run, run_json):
+    code, out, _ = run("effects", "microlens")
+    assert code == 0
+    assert "microlens (" in out
+    assert "source:" in out
+    for word, wanted in (("blur", "motion_blur"), ("BLOOM", "blooming"), ("microlense", "microlens")):
+        code, result, _ = run_json("effects", word)
+        names = [r["name"] for r in result["effects"]]
+        assert code == 0, word
+        assert wanted in names, word
+        assert len(names) < 20, word
+    code, out, err = run("effects", "xyzzy")
+    assert (code, out) == (3, "")
+    assert len(err) < 200
+
+
+def test_effects_prints_the_places_within_a_stage(run_json):
+    from isetval.effects import catalogue
+
+    _, result, _ = run_json("effects")
+    assert {r["name"]: r["order"] for r in result["effects"]} == {name: cls.order for name, cls in catalogue().items()}
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [(("measure", "FLAT"), "x.png"), (("effects",), "x"), (("report", "R"), "x.json"), (("add", CAMERA, "prnu"), "x.json")],
+)
+def test_a_kind_of_file_that_a_command_does_not_write_is_refused_before_any_work(run, flat_dng, tmp_path, words, name):
+    given = [flat_dng if w == "FLAT" else w for w in words]
+    code, out, err = run(*given, "-o", tmp_path / name)
+    assert (code, out) == (3, "")
+    assert "ends in ." in err
+    assert not (tmp_path / name).exists()
+
+
 def test_doctor_examines_every_part(run_json):
     code, result, _ = run_json("doctor")
     assert code == 0

@@ -16,6 +16,8 @@ from isetval.core.jsonable import plain
 
 __all__ = ["main"]
 
+RESULT_SUFFIXES = (".json", ".csv")
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code (0 fine, 1 outside limits, 2 usage, 3 bad input, 4 missing part)."""
@@ -71,7 +73,7 @@ def _run(args: argparse.Namespace, words: list[str], console: Console) -> int:
 
     if not args.verbose:
         warnings.simplefilter("ignore")
-    _check_output(args.output)
+    _check_output(args.output, RESULT_SUFFIXES if args.writes_result else args.suffixes)
     outcome: Outcome = args.handler(args, console)
     result = _with_provenance(outcome, words)
     if args.output is not None and args.writes_result:
@@ -93,12 +95,17 @@ def _with_provenance(outcome: Outcome, words: list[str]) -> dict[str, Any]:
     return result | {"provenance": plain(provenance(words, outcome.inputs))}
 
 
-def _check_output(output: str | None) -> None:
-    """Refuse a place that cannot be written before any work is done."""
+def _check_output(output: str | None, suffixes: Sequence[str]) -> None:
+    """Refuse a place that cannot be written, or a kind of file that the command does not make, before any work is done."""
     from isetval.core.errors import InputError
 
     if output is None:
         return
+    if suffixes and not output.lower().endswith(tuple(suffixes)):
+        named = Path(output).suffix or "without a suffix"
+        raise InputError(
+            f"{output}: a file {named} is not what this command writes; name one that ends in {' or '.join(suffixes)}"
+        )
     folder = Path(output).resolve().parent
     if not folder.is_dir():
         raise InputError(f"{output}: the folder {folder} does not exist; make it, or write elsewhere")

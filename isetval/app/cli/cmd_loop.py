@@ -66,7 +66,7 @@ def _register_add(commands: Any, common: argparse.ArgumentParser) -> None:
     source = p.add_mutually_exclusive_group()
     source.add_argument("--from", dest="diagnosis", metavar="d.json", type=Path, help="result of isetval diagnose")
     source.add_argument("--set", dest="settings", metavar="k=v", action="append", default=[], help="a parameter's value")
-    p.set_defaults(handler=add, writes_result=False)
+    p.set_defaults(handler=add, writes_result=False, suffixes=(".toml",))
 
 
 def positive(text: str) -> int:

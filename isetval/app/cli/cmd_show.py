@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from isetval.app.cli.console import Console
 from isetval.app.cli.outcome import FINE, MISSING_PART, OUTSIDE_LIMITS, Outcome
 from isetval.app.cli.tables import text_table
+from isetval.core.errors import InputError
 
 
 def register(commands: Any, common: argparse.ArgumentParser) -> None:
@@ -18,7 +21,9 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p = commands.add_parser(
         "effects", parents=[common], help="the catalogue with units and equations", description=effects.__doc__
     )
-    p.add_argument("names", nargs="*", metavar="EFFECT", help="only these, with their text")
+    p.add_argument(
+        "names", nargs="*", metavar="EFFECT", help="only these, with their text; or words to search names and texts for"
+    )
     p.set_defaults(handler=effects, writes_result=True)
     p = commands.add_parser("doctor", parents=[common], help="what is installed, which renderer is used and why")
     p.set_defaults(handler=doctor, writes_result=True)
@@ -39,7 +44,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.set_defaults(handler=lens_audit, writes_result=True)
     p = commands.add_parser("report", parents=[common], help="results -> one self-contained page", description=report.__doc__)
     p.add_argument("results", nargs="+", metavar="RESULT", type=Path, help="JSON results of measure, compare, diagnose, demo")
-    p.set_defaults(handler=report, writes_result=False)
+    p.set_defaults(handler=report, writes_result=False, suffixes=(".html", ".htm"))
     p = commands.add_parser("rerun", parents=[common], help="the same numbers again, or what moved", description=rerun.__doc__)
     p.add_argument("result", metavar="RESULT", type=Path, help="JSON result written with -o")
     p.add_argument(
@@ -50,21 +55,42 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
 
 
 def effects(args: argparse.Namespace, console: Console) -> Outcome:
-    """List the catalogue of physical effects: name, stage, parameters with unit and bounds, equation, source."""
-    from isetval.camera.model_file import make_effect
+    """List the catalogue of physical effects: name, stage, place in it, parameters with unit and bounds, equation, source."""
     from isetval.effects import catalogue
 
-    known = catalogue()
-    for name in args.names:
-        make_effect(name, {}, "effects")
-    rows = [_effect_row(known[name]) for name in (args.names or known)]
-    if args.names:
+    known = {name: _effect_row(cls) for name, cls in catalogue().items()}
+    if not args.names:
+        title = f"# {len(known)} effects along the light path (text of one: isetval effects NAME; search: isetval effects WORD)"
+        rows, lines = list(known.values()), [title, *_effect_table(known.values())]
+    elif all(name in known for name in args.names):
+        rows = [known[name] for name in args.names]
         lines = [line for row in rows for line in _effect_text(row)]
     else:
-        lines = [f"# {len(rows)} effects along the light path (text of one: isetval effects NAME)"]
-        body = [(r["stage"], r["name"], "; ".join(_parameter_words(p) for p in r["parameters"]), r["equation"]) for r in rows]
-        lines += text_table(("stage", "effect", "parameters", "equation"), body)
+        rows = [row for row in known.values() if any(_speaks_of(row, word) for word in args.names)]
+        lines = [f"# {len(rows)} effects that speak of {' or '.join(args.names)}", *_effect_table(rows)]
+        if not rows:
+            raise _unknown_effect(args.names, known)
     return Outcome({"kind": "effects", "effects": rows}, lines, FINE, {}, _flat(rows))
+
+
+def _effect_table(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    body = [
+        (r["stage"], f"{r['order']:g}", r["name"], "; ".join(_parameter_words(p) for p in r["parameters"]), r["equation"])
+        for r in rows
+    ]
+    return text_table(("stage", "order", "effect", "parameters", "equation"), body)
+
+
+def _speaks_of(row: Mapping[str, Any], word: str) -> bool:
+    """Whether a word stands in an effect's name, text or equation, or is nearly its name."""
+    texts = (row["name"], row["text"], row["equation"], *(p["doc"] for p in row["parameters"]))
+    return any(word.lower() in text.lower() for text in texts) or bool(difflib.get_close_matches(word, [row["name"]]))
+
+
+def _unknown_effect(words: Sequence[str], known: Iterable[str]) -> InputError:
+    near = [name for word in words for name in difflib.get_close_matches(word, list(known), n=3, cutoff=0.4)]
+    hint = f"; near it: {', '.join(near)}" if near else ""
+    return InputError(f"effects: none speaks of {' or '.join(words)}{hint} (all: isetval effects)")
 
 
 def _effect_row(cls: Any) -> dict[str, Any]:
@@ -73,6 +99,7 @@ def _effect_row(cls: Any) -> dict[str, Any]:
     return {
         "name": cls.name,
         "stage": cls.stage,
+        "order": cls.order,
         "acts_on": cls.acts_on,
         "gives": cls.gives,
         "candidate": cls.candidate,
@@ -90,7 +117,7 @@ def _parameter_words(p: dict[str, Any]) -> str:
 
 
 def _effect_text(row: dict[str, Any]) -> list[str]:
-    lines = [f"# {row['name']} ({row['stage']})", *(f"  {line}" for line in row["text"].splitlines())]
+    lines = [f"# {row['name']} ({row['stage']}, place {row['order']:g})", *(f"  {line}" for line in row["text"].splitlines())]
     lines += [f"  equation: {row['equation']}", f"  source: {row['reference']}"]
     for p in row["parameters"]:
         scale = f", plausible scale {p['tau']:g}" if p["tau"] is not None else ""
@@ -151,7 +178,6 @@ def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
 def report(args: argparse.Namespace, console: Console) -> Outcome:
     """Draw one page from results: does it match, where not, what is missing, how the error fell."""
     from isetval.app.report import write_report
-    from isetval.core.errors import InputError
     from isetval.core.hashing import file_hash
     from isetval.loop.adding import read_result
 
@@ -199,8 +225,6 @@ def _parsed_again(parser: argparse.ArgumentParser, words: list[str]) -> argparse
     import contextlib
     import io
 
-    from isetval.core.errors import InputError
-
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
@@ -215,8 +239,6 @@ def _parsed_again(parser: argparse.ArgumentParser, words: list[str]) -> argparse
 
 def _consent(words: list[str], args: argparse.Namespace, console: Console) -> None:
     """The command in a file is whoever made the file's: it is shown, and run when a person (or ``--yes``) says so."""
-    from isetval.core.errors import InputError
-
     if args.yes:
         return
     asked = f"{args.result} holds this command; it opens the files named in it, and writes none:\n  {_shown(words)}"
