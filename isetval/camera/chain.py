@@ -6,7 +6,6 @@ electronics run frame by frame in blocks of rows of the full-sensor grid, each w
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -16,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import Remembered
 from isetval.core.campaign import Light, Shot
 from isetval.core.context import Context, Mode
 from isetval.core.effect import Effect
@@ -31,9 +31,9 @@ from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]
 FRONT = ("scene", "optics", "pixel")
-FIELD_PX = 32  # pixels along the longer side of the coarse full field
-BAND_BUDGET = 6_000_000  # spectral samples held at once
-CACHE_BYTES = 600_000_000
+FIELD_PX = 32  # pixels along the longer side of the coarse full field: a mean of r^2 over it errs by 1/(12 FIELD_PX^2), 1e-4
+BAND_BUDGET = 6_000_000  # spectral samples held at once: 48 MB, a strip of 20 rows of a 12 MP sensor at 73 bands
+CACHE_BYTES = 600_000_000  # six full 12 MP frames, or all windows of a laboratory's plan at twenty points of a fit
 
 
 class Camera(Protocol):
@@ -93,26 +93,7 @@ class Rendering:
     draw: int | None = None
 
 
-class _Cache:
-    """Arrays by content, oldest out first, bounded in bytes."""
-
-    def __init__(self, limit: int) -> None:
-        self.limit, self.used = limit, 0
-        self.items: OrderedDict[Any, Float] = OrderedDict()
-
-    def get(self, key: Any) -> Float | None:
-        if key in self.items:
-            self.items.move_to_end(key)
-        return self.items.get(key)
-
-    def put(self, key: Any, value: Float) -> None:
-        self.items[key] = value
-        self.used += value.nbytes
-        while self.used > self.limit and len(self.items) > 1:
-            self.used -= self.items.popitem(last=False)[1].nbytes
-
-
-_MEANS = _Cache(CACHE_BYTES)
+_MEANS = Remembered(CACHE_BYTES)
 
 
 def make_context(model: Camera, setup: ShotSetup, *, seed: int = 0, sensor_seed: int = 0, mode: Mode = "capture") -> Context:
@@ -151,7 +132,6 @@ def mean_electrons(model: Camera, setup: ShotSetup, *, progress: RenderProgress 
     found = _MEANS.get(key)
     if found is None:
         found = _front(model, effects, setup, Rendering(progress))
-        found.flags.writeable = False
         _MEANS.put(key, found)
     return found
 

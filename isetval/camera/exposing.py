@@ -19,7 +19,8 @@ from isetval.core.sensor import Exposure
 from isetval.core.streams import stream, word
 
 Float = NDArray[np.float64]
-BIG_PX = 1_000_000
+BIG_PX = 1_000_000  # below it starting threads costs more than they save
+NORMAL_ABOVE_E = 30.0  # skewness of a Poisson number 1/sqrt(30) = .18: its normal twin keeps mean and variance exactly
 
 
 def expose(
@@ -37,7 +38,7 @@ def expose(
     shot = setup.shot
     mean = mean_electrons(model, setup) if mean is None else mean
     context = make_context(model, setup, seed=seed, sensor_seed=seed if sensor_seed is None else sensor_seed, mode=mode)
-    gaussian = bool(mean.mean() > 30)
+    gaussian = bool(mean.mean() > NORMAL_ABOVE_E)
     threads = min(2, os.cpu_count() or 1) if mean.size > BIG_PX else 1
     frames = []
     for frame in range(shot.frames):

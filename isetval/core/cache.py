@@ -11,6 +11,7 @@ import io
 import json
 import os
 import zipfile
+from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -90,3 +91,27 @@ def prune(folder: Path, *, max_bytes: int) -> int:
         path.unlink(missing_ok=True)
         freed += size
     return freed
+
+
+class Remembered:
+    """Arrays in memory by their key, those used longest ago out first, bounded in bytes."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self.max_bytes, self.used = max_bytes, 0
+        self._items: OrderedDict[Any, NDArray[Any]] = OrderedDict()
+
+    def get(self, key: Any) -> NDArray[Any] | None:
+        """The array of a key, or None."""
+        if key in self._items:
+            self._items.move_to_end(key)
+        return self._items.get(key)
+
+    def put(self, key: Any, value: NDArray[Any]) -> None:
+        """Remember an array, read-only from now on; the last one is kept however large it is."""
+        value.flags.writeable = False
+        if key in self._items:
+            self.used -= self._items.pop(key).nbytes
+        self._items[key] = value
+        self.used += value.nbytes
+        while self.used > self.max_bytes and len(self._items) > 1:
+            self.used -= self._items.popitem(last=False)[1].nbytes

@@ -84,9 +84,10 @@ def _pieces(value: Any) -> Iterator[bytes]:
         for key in sorted(value, key=str):
             yield from _pieces(key)
             yield from _pieces(value[key])
-    elif isinstance(value, list | tuple):
+    elif isinstance(value, list | tuple | set | frozenset):
+        parts = sorted(value, key=str) if isinstance(value, set | frozenset) else value
         yield f"row{len(value)}:".encode()
-        for part in value:
+        for part in parts:
             yield from _pieces(part)
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         yield f"{type(value).__qualname__}:".encode()

@@ -17,8 +17,8 @@ from isetval.core.cache import cache_folder, load_arrays, save_arrays
 from isetval.core.hashing import content_hash, file_hash
 
 Float = NDArray[np.float64]
-FORMAT = 1
-MAX_BYTES = 64_000_000
+FORMAT = 1  # of the file; a new one makes all stored numbers stale
+MAX_BYTES = 64_000_000  # of one plan; larger stores take longer to read than to make again
 
 
 @lru_cache(maxsize=1)

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-TILE_ROWS = 64
+TILE_ROWS = 64  # of the endless grid of fixed patterns; changing it changes every simulated specimen
 TILE_COLS = 128
 Float32 = NDArray[np.float32]
 

@@ -20,8 +20,8 @@ from isetval.core.errors import InputError
 from isetval.core.signal import Signal
 
 Float = NDArray[np.float64]
-REFERENCE_NM = 550.0
-MANY_FREQUENCIES, GRID_FREQUENCIES = 20_000, 129
+REFERENCE_NM = 550.0  # where a lens is in focus: the middle of the visible range
+MANY_FREQUENCIES, GRID_FREQUENCIES = 20_000, 129  # a picture of 141 px a side; the grid is exact to 1e-4 (tested)
 RED_NM, GREEN_NM, BLUE_NM = 610.0, 540.0, 460.0
 """Wavelengths at which the axial colour of the red, green and blue channel is stated."""
 

@@ -15,7 +15,7 @@ from isetval.core.spectrum import Spectrum
 from isetval.effects.pupil import REFERENCE_NM, field_point
 
 Float = NDArray[np.float64]
-EXCITATION_BELOW_NM = 430.0
+EXCITATION_BELOW_NM = 430.0  # optical brighteners absorb up to the violet
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,10 @@ from isetval.loop.prediction import RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 from isetval.loop.problem import Problem
 
 Float = NDArray[np.float64]
-STRONG, WANTED = 80.0, 50.0
-LIKE_FOCUS, ALIGNMENTS = 0.9, 3  # cosine, times
+STRONG = 80.0  # sigmas of a secant beyond which it is taken again closer to the null: the metrics bend before that
+WANTED = 50.0  # sigmas of the new secant: far above the noise of common random numbers, well inside the linear range
+LIKE_FOCUS = 0.9  # cosine above which a far focus asks for a secant of the same length as the focus's own
+ALIGNMENTS = 3  # times; each brings the lengths together to a tenth
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,11 +25,11 @@ from isetval.loop.unknown import Finding, findings
 from isetval.loop.verdict import account_of
 
 Float = NDArray[np.float64]
-ALPHA = 0.01
-MAX_EFFECTS = 4
-SHORT_LIST = 5
-SAME_RHO = 0.95
-WORTH_A_REFIT = 0.5
+ALPHA = 0.01  # false alarms in a true model, all candidates together
+MAX_EFFECTS = 4  # named in one diagnosis: a model that lacks more is better mended step by step
+SHORT_LIST = 5  # candidates refitted in full: a bound on cost, each simulates the plan several times
+SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
+WORTH_A_REFIT = 0.5  # share of the best score; what explains less than half of it cannot win
 Say = Callable[[str], None]
 
 

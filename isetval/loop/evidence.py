@@ -17,9 +17,9 @@ from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
 
 Float = NDArray[np.float64]
-PROBABILITY_CAP = 0.98
-CLOSE_LOG_ODDS = 3.0
-WIDTH_SCAN = 3.0
+PROBABILITY_CAP = 0.98  # no posterior is stated above it: effects outside the catalogue are not in the sum
+CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery 1995, table 1)
+WIDTH_SCAN = 3.0  # prior widths are plausible scales, known to about this factor
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,13 @@ from isetval.loop.prediction import Point
 from isetval.loop.problem import Column, Problem
 
 Float = NDArray[np.float64]
-MAX_ITERATIONS, MAX_FAILURES = 20, 2
-RADIUS = 4.0  # prior sigmas
-STALE, FAR = 1.0, 3.0
-ALIKE = 0.995  # cosine
-CONVERGED = 0.02
+MAX_ITERATIONS = 20  # Gauss-Newton steps: a bound on cost; a fit that ends there says that it has not converged
+MAX_FAILURES = 2  # steps in a row that do not help, each a sixth as long: a third would be below the fit's own noise
+RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
+STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
+FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
+ALIKE = 0.995  # cosine above which an effect imitates focus: finite steps of the two differ by about a percent
+CONVERGED = 0.02  # in chi2: a seventh of a sigma in one parameter, below the 1/16 that simulation adds
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,8 @@ from isetval.loop.result import NextCapture
 from isetval.loop.score_test import cosine, make_frame, score
 
 Float = NDArray[np.float64]
-CLOSE = 0.7
-MAX_PAIRS = 8
+CLOSE = 0.7  # cosine of a pair that is listed: above it half of one's chi2 is explained by the other
+MAX_PAIRS = 8  # pairs for which further captures are searched: each costs as much as a short campaign
 
 
 @dataclass(frozen=True)

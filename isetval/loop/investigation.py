@@ -18,9 +18,10 @@ from isetval.loop.result import CandidateRow
 from isetval.loop.score_test import Frame, make_frame
 from isetval.loop.unknown import SURE, Second
 
-WORTH_ON_HOLDOUT = 0.3
-ODDS = 19.0
-MAX_REBASES, STANDS = 5, 0.7
+WORTH_ON_HOLDOUT = 0.3  # share of an effect's gain that must be found again: a true one gives 1 +- its own error
+ODDS = 19.0  # 95 %
+MAX_REBASES = 5  # new bases at a moving strength: a bound on cost
+STANDS = 0.7  # sigmas within which a value stands: a choice, below the error that it is stated with
 Say = Callable[[str], None]
 
 

@@ -28,9 +28,9 @@ from isetval.loop.score_test import Frame, cosine, make_frame
 from isetval.measure.campaign import measure_campaign
 
 Float = NDArray[np.float64]
-REPLICAS = 3
-KEEP = 6
-WORTH = 0.02
+REPLICAS = 3  # a proposal's covariance is needed to a factor, not to a percent
+KEEP = 6  # proposals that a person can weigh
+WORTH = 0.02  # smallest fall of the cosine that is told: above its own simulation error
 
 
 def proposals(plan: Campaign) -> Iterator[tuple[str, Campaign]]:

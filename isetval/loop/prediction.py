@@ -21,6 +21,7 @@ from isetval.camera.chain import FRONT, ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import camera_with, shot_setup
+from isetval.core.cache import Remembered
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.context import Mode
@@ -34,9 +35,10 @@ from isetval.loop.scatter import scatter
 from isetval.measure.campaign import measure_shot
 
 Float = NDArray[np.float64]
-REPLICAS = 16
-COVARIANCE_REPLICAS = 4
-DERIVATIVE_SEEDS = (101,)
+REPLICAS = 16  # the mean of so many adds 1/16 to the variance of a difference, 3 % to its sigma
+COVARIANCE_REPLICAS = 4  # stated covariances scatter little; the scatter of all replicas scales them
+WORKER_BYTES = 200_000_000  # metrics remembered in each worker: some 200,000 shots of a hundred rows
+DERIVATIVE_SEEDS = (101,)  # common random numbers: one draw tells a difference to the second order
 # signatures have seeds of their own: what rounding does to a fit must not look like a signature
 SIGNATURE_SEEDS = (201,)
 RANDOM_SEEDS = (201, 202)
@@ -229,7 +231,7 @@ def _content(task: ShotPart) -> Any:
     front = tuple(e.content() for e in model.effects if e.stage in FRONT)
     rest = tuple(e.content() for e in model.effects if e.stage not in FRONT)
     made = (front, task.setup.digest(), rest, task.setup.shot.name, task.setup.shot.frames)
-    return (model.sensor, model.wavelength_nm.tobytes(), made, task.seed, task.mode, repr(task.choices))
+    return (model.sensor, model.wavelength_nm.tobytes(), made, task.seed, task.mode, task.choices)
 
 
 def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
@@ -239,32 +241,25 @@ def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
     return np.asarray(out)
 
 
-_SEEN: dict[Any, Float] = {}
+_MEASURED = Remembered(WORKER_BYTES)
 
 
 def _vector_of(task: ShotPart, keys: Sequence[Any]) -> Float:
-    """Values of ``keys`` for one shot; equal light and electronics are shot and measured once per process."""
+    """Values of ``keys`` for one shot; equal light and electronics are shot and measured once per process.
+
+    Unlike the store, which knows what a shot is made from, this one knows the light that came out: a parameter
+    that does not touch the shot costs nothing but the light.
+    """
     mean = mean_electrons(task.model, task.setup)
-    digest = content_hash(mean)
     rest = tuple(e.content() for e in task.model.effects if e.stage not in FRONT)
-    choices = repr(task.choices)
-    key = (
-        digest,
-        rest,
-        task.setup.shot.name,
-        task.setup.shot.frames,
-        task.seed,
-        task.mode,
-        choices,
-        len(keys),
-        task.model.sensor,
-    )
-    if key not in _SEEN:
-        if len(_SEEN) > 200_000:
-            _SEEN.clear()
+    shot = task.setup.shot
+    key = content_hash((mean, rest, shot.name, shot.frames, task.seed, task.mode, task.choices, list(keys), task.model.sensor))
+    found = _MEASURED.get(key)
+    if found is None:
         values = {m.key(): m.value for block in _blocks_of(task) for m in block.metrics}
-        _SEEN[key] = np.array([values.get(k, np.nan) for k in keys])
-    return _SEEN[key]
+        found = np.array([values.get(k, np.nan) for k in keys])
+        _MEASURED.put(key, found)
+    return found
 
 
 def _render_part(task: ShotPart, keys: Sequence[Any]) -> Float | None:

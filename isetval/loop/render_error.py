@@ -22,7 +22,7 @@ from isetval.core.scene import RenderedTarget
 Float = NDArray[np.float64]
 Measure = Callable[[Sequence[Capture]], Float]
 RISE_DN = 8.0
-"""The draws are raised to this standard deviation, so that whole DN do not hide them, and the differences lowered again."""
+"""DN of standard deviation to which the draws are raised, so that whole DN do not hide them; differences are lowered again."""
 
 
 def render_covariance(model: CameraModel, setup: ShotSetup, measure: Measure) -> Float | None:

@@ -36,10 +36,10 @@ GROUPS = {
     "setup": "set-up",
     "region": "region",
 }
-MAX_PER_GROUP = 40
-RIPPLES = (1, 2)  # periods from the middle to the corner
-SURE = 1e-6
-ALLOWED = 1.1**2  # in the variance of a family
+MAX_PER_GROUP = 40  # labels of one condition: more (every region of a scene) would drown the others in look-elsewhere
+RIPPLES = (1, 2)  # periods from the middle to the corner: fringes of three and more need more radii than plans have
+SURE = 1e-6  # beyond it one session is enough: the chance of a hundred diagnoses with a hundred tests each is 1 %
+ALLOWED = 1.1**2  # in the variance of a family: 16 replicas know the sigma of a family of 12 rows to 5 %, twice that is allowed
 
 
 @dataclass(frozen=True, eq=False)
