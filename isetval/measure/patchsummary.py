@@ -15,7 +15,7 @@ from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, planes_of
 from isetval.core.metric import Block, Metric
 from isetval.measure.conditions import metric, shot_conditions
-from isetval.measure.noise.patches import Patch, uniform_patches
+from isetval.measure.noise.patch_noise import Patch, uniform_patches
 
 ROLES = ("chart", "scene")
 SIZE = 10

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isetval.measure.noise.patches import PatchTable
-from isetval.measure.noise.transfer import PhotonTransfer, PlaneTransfer
+from isetval.measure.noise.patch_noise import PatchTable
+from isetval.measure.noise.transfer_result import PhotonTransfer, PlaneTransfer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

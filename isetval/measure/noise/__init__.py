@@ -9,8 +9,8 @@ _NAMES = {
     "emva1288": "isetval.measure.noise.emva",
     "flat_statistics": "isetval.measure.noise.statistics",
     "photon_transfer": "isetval.measure.noise.transfer",
-    "quality": "isetval.measure.noise.verdict",
-    "uniform_patches": "isetval.measure.noise.patches",
+    "quality": "isetval.measure.noise.capture_quality",
+    "uniform_patches": "isetval.measure.noise.patch_noise",
 }
 __all__ = sorted(_NAMES)
 __getattr__, __dir__ = lazy_names(__name__, _NAMES)

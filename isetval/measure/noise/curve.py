@@ -18,11 +18,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from isetval.measure.noise.linearity import Response
 
 Float = NDArray[np.float64]
 # 68 % intervals then hold 66 to 70 % for bends of 0 to 2e-6 per electron, 60 to 65 % for two to four times the prior's width
@@ -40,7 +42,8 @@ class Points:
 
     ``mean_dn`` above the measured black; ``spread_dn2`` is the spatial variance of the light over the region,
     ``variance_dn2`` the temporal variance; ``dof`` its degrees of freedom for normal noise; ``sampled_dn4`` the sampling
-    variance of ``variance_dn2`` where it is known otherwise (rounded levels), else nan.
+    variance of ``variance_dn2`` where it is known otherwise (rounded levels), else nan.  ``scatter`` is a relative
+    standard deviation of all variances beyond that.
     """
 
     mean_dn: Float
@@ -49,10 +52,16 @@ class Points:
     dof: Float
     pixels: Float
     sampled_dn4: Float
+    scatter: float = 0.0
 
     def take(self, index: Any) -> Points:
         """The points with this index or mask."""
-        return Points(*(np.asarray(getattr(self, n))[index] for n in self.__dataclass_fields__))
+        arrays = {n: v[index] for n, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **arrays)
+
+    def scattered(self, scatter: float) -> Points:
+        """The points with a relative standard deviation of the variance on top of sampling."""
+        return replace(self, scatter=scatter)
 
 
 @dataclass(frozen=True)
@@ -62,37 +71,6 @@ class Anchor:
     variance_dn2: float
     sigma_dn2: float
     black_sigma_dn: float
-
-
-@dataclass(frozen=True, eq=False)
-class Response:
-    """m = L (1 + a x + b x^2), x = L / scale: mean signal against linear signal, from exposure times."""
-
-    a: float
-    b: float
-    scale_dn: float
-    covariance: Float
-    scatter: float
-    levels: int
-
-    def linear(self, mean: Float) -> Float:
-        """L for a mean, by Newton's method."""
-        out = np.array(mean, dtype=float)
-        for _ in range(8):
-            x = out / self.scale_dn
-            value = out * (1 + self.a * x + self.b * x**2)
-            out = out - (value - mean) / np.maximum(self.slope(out), 0.05)
-        return out
-
-    def slope(self, linear: Float) -> Float:
-        """Dm / dL."""
-        x = linear / self.scale_dn
-        return np.asarray(1 + 2 * self.a * x + 3 * self.b * x**2)
-
-    def shifted(self, index: int, step: float) -> Response:
-        """The response with one coefficient moved."""
-        a, b = self.a + step * (index == 0), self.b + step * (index == 1)
-        return Response(a, b, self.scale_dn, self.covariance, self.scatter, self.levels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,58 +258,10 @@ def point_variance(points: Points, model: Float, slope: float) -> Float:
     uneven = 1 + slope**2 * points.spread_dn2 / np.maximum(model, 1e-6) ** 2
     rest = np.clip(model - slope * points.mean_dn, 0.0, model)
     normal = 2 * model**2 * uneven / points.dof + slope**2 * rest / points.pixels
-    return np.asarray(np.where(np.isfinite(points.sampled_dn4), points.sampled_dn4, normal))
+    sampled = np.where(np.isfinite(points.sampled_dn4), points.sampled_dn4, normal)
+    return np.asarray(sampled + (points.scatter * model) ** 2)
 
 
-def fit_response(time_s: Float, mean_dn: Float, sigma_dn: Float) -> Response | None:
-    """Response curve from means at known exposure times under constant light; None where it is straight.
-
-    m / t is fitted by a constant, a constant with x, with x^2, and with both (x = exposure over the longest); the
-    corrected Akaike criterion chooses.  Lamp jitter is taken from the scatter.  Returned only where a term
-    stands out at four sigma.
-    """
-    if np.unique(time_s).size < 5:
-        return None
-    rate = mean_dn / time_s
-    top = float(time_s.max())
-    x = time_s / top
-    weight = 1 / np.hypot(sigma_dn / mean_dn, _scatter_floor(rate, sigma_dn / mean_dn)) / rate
-    best: tuple[float, Float, Float, tuple[int, ...], float] | None = None
-    trials: tuple[tuple[int, ...], ...] = ((), (1,), (2,), (1, 2))
-    for powers in trials:
-        design = np.column_stack([np.ones_like(x), *(x**p for p in powers)]) * weight[:, None]
-        normal = np.linalg.pinv(design.T @ design, hermitian=True)
-        theta = normal @ (design.T @ (rate * weight))
-        rest = rate * weight - design @ theta
-        n, k = x.size, len(powers) + 2
-        if n - k - 1 < 1:
-            continue
-        square = max(float(rest @ rest), 1e-30)
-        score = n * math.log(square / n) + 2 * k * n / (n - k - 1)
-        if best is None or score < best[0]:
-            best = (
-                score,
-                theta,
-                np.asarray(normal * max(square / (n - k + 1), 1.0), dtype=np.float64),
-                powers,
-                math.sqrt(square / (n - k + 1)),
-            )
-    assert best is not None
-    _, theta, covariance, chosen, scatter = best
-    ratio = theta[1:] / theta[0]
-    error = np.sqrt(np.diag(covariance))[1:] / theta[0]
-    if not chosen or not np.any(np.abs(ratio) > 4 * error):
-        return None
-    values, spread = np.zeros(2), np.zeros((2, 2))
-    index = [p - 1 for p in chosen]
-    values[index] = ratio
-    spread[np.ix_(index, index)] = covariance[1:, 1:] / theta[0] ** 2
-    return Response(float(values[0]), float(values[1]), float(theta[0] * top), spread, scatter, int(x.size))
-
-
-def _scatter_floor(rate: Float, sigma: Float) -> float:
-    """Relative jitter of neighbouring levels beyond their sampling noise (second differences)."""
-    steps = np.diff(rate, 2) / rate[1:-1]
-    noise = (sigma[:-2] ** 2 + 4 * sigma[1:-1] ** 2 + sigma[2:] ** 2) / 6
-    found = float(np.median(steps**2)) / 0.455 / 6
-    return math.sqrt(max(found - float(np.median(noise)), 1e-10))
+def is_poor(fit: CurveFit) -> bool:
+    """Whether chi2 is more than four sd above its degrees of freedom."""
+    return fit.chi2 > fit.dof + 4 * math.sqrt(2 * max(fit.dof, 1))

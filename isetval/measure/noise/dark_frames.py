@@ -8,15 +8,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.quantity import Quantity, root
-from isetval.measure.noise.reference import TAG_DIFFERS, DarkLevel, dark_level, differs_from_tag
-from isetval.measure.noise.statistics import check_frames, check_region
+from isetval.core.threads import one_blas_thread
+from isetval.measure.noise.dark_level import TAG_DIFFERS, DarkLevel, dark_level, differs_from_tag
+from isetval.measure.noise.setups import look_at_frames
 
 if TYPE_CHECKING:
     import pandas as pd
+
+Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,7 @@ class PlaneDark:
     hot_pixels: int
     noisy_pixels: int
     drift_dn: Quantity
-    frame_means_dn: np.ndarray[tuple[int], np.dtype[np.float64]]
+    frame_means_dn: Float
     levels: tuple[tuple[float | None, DarkLevel], ...]
     flags: tuple[str, ...]
 
@@ -105,7 +109,8 @@ def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
     Parameters
     ----------
     captures : sequence of Capture
-        Dark frames; two or more of a time for anything temporal.
+        Dark frames; two or more of a time for anything temporal.  May decode a file at every access: each frame is
+        fetched once to be sorted and once to be measured, and those of one time are held at a time.
     roi : (row0, row1, col0, col1), optional
         Region on the mosaic.
 
@@ -119,29 +124,44 @@ def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
     Below .75 DN of noise, or where frames are clipped at zero, an exact-quantization likelihood replaces
     var - 1/12 (see ``quantized``).
     """
-    check_frames(captures)
-    check_region(captures[0], roi)
-    if all(c.mosaic.min() == c.mosaic.max() for c in captures):
+    looks = look_at_frames(captures, roi=roi)
+    if all(look.one_value for look in looks):
         raise MeasurementError(
             f"all {len(captures)} dark frames hold one value each (the first {int(captures[0].mosaic.flat[0])} DN); dark "
             "analysis needs noise around a black pedestal: the frames are clipped, empty or not raw"
         )
-    return Dark({plane: _plane_dark(captures, plane, roi) for plane in planes_of(captures[0])})
+    levels: dict[str, list[tuple[float | None, DarkLevel]]] = {}
+    means: dict[str, Float] = {}
+    tags: dict[str, float] = {}
+    with one_blas_thread():
+        for time in sorted({look.known_time_s for look in looks}):
+            numbers = [i for i, look in enumerate(looks) if look.known_time_s == time]
+            for plane, (level, own, tag) in _one_time([captures[i] for i in numbers], roi).items():
+                levels.setdefault(plane, []).append((looks[numbers[0]].time_s, level))
+                means.setdefault(plane, np.empty(len(looks)))[numbers] = own
+                tags[plane] = tag
+        planes = {plane: _plane_dark(plane, own, means[plane], tags[plane]) for plane, own in levels.items()}
+    return Dark(planes)
 
 
-def _plane_dark(captures: Sequence[Capture], plane: str, roi: Roi | None) -> PlaneDark:
-    times = sorted({c.exposure.time_s or 0.0 for c in captures})
-    levels: list[tuple[float | None, DarkLevel]] = []
-    for time in times:
-        frames = [c for c in captures if (c.exposure.time_s or 0.0) == time]
-        levels.append((frames[0].exposure.time_s, dark_level(frames, plane, roi)))
+def _one_time(frames: Sequence[Capture], roi: Roi | None) -> dict[str, tuple[DarkLevel, list[float], float]]:
+    """Plane -> level without maps, raw mean of each frame, black tag; the frames are let go after."""
+    out = {}
+    for plane in planes_of(frames[0]):
+        own = [float(plane_view(c, plane, roi)[0].mean(dtype=np.float64)) for c in frames]
+        out[plane] = (dark_level(frames, plane, roi).without_maps(), own, plane_black_dn(frames[0], plane))
+    return out
+
+
+def _plane_dark(plane: str, levels: Sequence[tuple[float | None, DarkLevel]], frame_means_dn: Float, tag_dn: float) -> PlaneDark:
+    """What the exposure times together say; ``frame_means_dn`` (frames,) raw DN."""
     first = levels[0][1]
     current, intercept = _mean_slope(levels)
     by_variance = _variance_slope(levels)
     flags = list(dict.fromkeys(f for _, level in levels for f in level.flags if f != TAG_DIFFERS))
-    if differs_from_tag(intercept, plane_black_dn(captures[0], plane)):
+    if differs_from_tag(intercept, tag_dn):
         flags.append(TAG_DIFFERS)
-    if first.moments.frames < 2:
+    if first.frames < 2:
         flags.append("single_frame")
     if current.value < -4 * current.sigma:
         flags.append("dark_current_negative")
@@ -160,14 +180,10 @@ def _plane_dark(captures: Sequence[Capture], plane: str, roi: Roi | None) -> Pla
         hot_pixels=longest.hot,
         noisy_pixels=longest.noisy,
         drift_dn=root(first.frame_scatter, "DN"),
-        frame_means_dn=_frame_means(captures, plane, roi),
+        frame_means_dn=frame_means_dn,
         levels=tuple(levels),
         flags=tuple(flags),
     )
-
-
-def _frame_means(captures: Sequence[Capture], plane: str, roi: Roi | None) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.array([plane_view(c, plane, roi)[0].mean(dtype=np.float64) for c in captures])
 
 
 def _mean_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> tuple[Quantity, Quantity]:
@@ -177,9 +193,7 @@ def _mean_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> tuple[Quant
         return Quantity(math.nan, math.nan, "DN/s"), first.black_dn
     time = np.array([t or 0.0 for t, _ in levels])
     value = np.array([level.black_dn.value for _, level in levels])
-    drift = [
-        max(level.frame_scatter.value, 0.0) / level.moments.frames if level.moments.frames > 1 else 0.0 for _, level in levels
-    ]
+    drift = [max(level.frame_scatter.value, 0.0) / level.frames if level.frames > 1 else 0.0 for _, level in levels]
     sigma = np.array(
         [max(math.hypot(level.black_dn.sigma, math.sqrt(d)), 1e-6) for (_, level), d in zip(levels, drift, strict=True)]
     )
@@ -192,7 +206,7 @@ def _mean_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> tuple[Quant
 
 def _variance_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> Quantity:
     """Slope of the read variance over time, DN^2/s."""
-    known = [(t or 0.0, level.read_variance) for t, level in levels if level.moments.frames > 1]
+    known = [(t or 0.0, level.read_variance) for t, level in levels if level.frames > 1]
     if len(known) < 2:
         return Quantity(math.nan, math.nan, "DN^2/s")
     time = np.array([t for t, _ in known])

@@ -17,11 +17,15 @@ import numpy as np
 from isetval.core.capture import Capture, Roi
 from isetval.core.quantity import Quantity, root
 from isetval.measure.noise.dark_frames import dark as dark_analysis
-from isetval.measure.noise.grouping import group
-from isetval.measure.noise.transfer import PhotonTransfer, PlaneTransfer, photon_transfer
+from isetval.measure.noise.setups import sort_into_setups
+from isetval.measure.noise.transfer import transfer_of_setups
+from isetval.measure.noise.transfer_result import PhotonTransfer, PlaneTransfer
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+NO_PHOTONS = "needs photons_per_pixel_s or photons_per_pixel"
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ def emva1288(
     dark: Sequence[Capture] | None = None,
     *,
     photons_per_pixel_s: float | None = None,
+    photons_per_pixel: Sequence[float | None] | None = None,
 ) -> EmvaTable:
     """EMVA 1288 style characterization of each plane.
 
@@ -75,15 +80,17 @@ def emva1288(
     photons_per_pixel_s : float, optional
         Photon irradiance in photons per pixel and second of the flats at the monitoring wavelength (light constant,
         exposure varied): gives quantum efficiency and absolute sensitivity threshold.
+    photons_per_pixel : sequence of float or None, optional
+        Or the mean photons per pixel of each capture; see ``photon_transfer``.
     """
-    result = photon_transfer(captures, roi, dark=dark)
-    darks = group(captures, roi, dark).dark
+    setups = sort_into_setups(captures, roi, dark)
+    result = transfer_of_setups(setups, roi, photons_per_pixel=photons_per_pixel)
     rows: list[EmvaRow] = []
     for plane, transfer in result.items():
         rows += _general(plane, transfer, photons_per_pixel_s)
         rows += _patterns(plane, transfer)
-    if darks:
-        rows += _dark_rows(darks, roi, result)
+    if setups.dark:
+        rows += _dark_rows(setups.frames(setups.dark), roi, result)
     return EmvaTable(tuple(rows))
 
 
@@ -112,9 +119,11 @@ def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaR
     yield _row(plane, "linearity error, lowest", "LE_min", low, "5 to 95 % of saturation, over exposure time")
     yield _row(plane, "linearity error, highest", "LE_max", high, "5 to 95 % of saturation, over exposure time")
     efficiency = _efficiency(t, flux)
-    yield _row(plane, "quantum efficiency", "eta", efficiency, "" if flux else "needs photons_per_pixel_s")
+    yield _row(plane, "quantum efficiency", "eta", efficiency, "" if math.isfinite(efficiency.value) else NO_PHOTONS)
     photons = threshold_e.over(efficiency.scaled(0.01, "1"), "photons")
-    yield _row(plane, "absolute sensitivity threshold", "mu_p.min", photons, "" if flux else "needs photons_per_pixel_s")
+    yield _row(
+        plane, "absolute sensitivity threshold", "mu_p.min", photons, "" if math.isfinite(efficiency.value) else NO_PHOTONS
+    )
 
 
 def saturation_level(t: PlaneTransfer) -> Quantity:
@@ -125,7 +134,7 @@ def saturation_level(t: PlaneTransfer) -> Quantity:
     if not beyond:
         return Quantity(low, used[-1].mean_sigma_dn, "DN")
     if beyond[0].reason == "clipped_at_white":
-        high = max(beyond[-1].captures[0].sensor.white_dn - t.black_dn.value, low)
+        high = max(beyond[-1].white_dn - t.black_dn.value, low)
         return Quantity(high, 0.5, "DN")
     high = beyond[0].mean_dn
     # saturation lies between the last level below and the first one at it
@@ -156,16 +165,16 @@ def _jitter(scatter: Quantity, frames: int) -> float:
 
 
 def _efficiency(t: PlaneTransfer, flux: float | None) -> Quantity:
-    timed = [level for level in t.levels if level.used and level.time_s]
+    """Quantum efficiency from stated photon numbers, else from their rate over the time that the light was on."""
+    if math.isfinite(t.quantum_efficiency.value):
+        return t.quantum_efficiency
+    offset_s = t.exposure_offset.value if t.linearity_from == "exposure times" else 0.0
+    timed = [level for level in t.levels if level.used and (level.time_s or 0.0) > offset_s]
     if not flux or not timed:
         return Quantity(math.nan, math.nan, "%")
-    time = np.array([level.time_s for level in timed], dtype=float)
-    mean = np.array([level.mean_dn for level in timed])
-    rate = float(np.mean(mean / time))
-    error = float(np.std(mean / time, ddof=1)) / math.sqrt(time.size) if time.size > 1 else 0.0
-    k = t.gain_dn_per_e
-    value = 100 * rate / k.value / flux
-    return Quantity(value, value * math.hypot(error / rate, k.sigma / k.value), "%")
+    rate = np.array([level.mean_dn / ((level.time_s or 0.0) - offset_s) for level in timed])
+    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size) if rate.size > 1 else 0.0
+    return Quantity(100 * float(np.mean(rate)) / flux, 100 * error / flux, "%").over(t.gain_dn_per_e, "%")
 
 
 def _patterns(plane: str, t: PlaneTransfer) -> Iterable[EmvaRow]:

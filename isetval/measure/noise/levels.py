@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
-from isetval.core.quantity import Quantity
+from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
+from isetval.core.quantity import Quantity, root
 from isetval.measure.noise.curve import Points
-from isetval.measure.noise.decomposition import FixedPattern, decompose, fit_surface, robust_sd
-from isetval.measure.noise.linesums import LineSums, line_sums
+from isetval.measure.noise.dark_level import DarkLevel
+from isetval.measure.noise.fixed_pattern import FixedPattern, decompose, fit_surface, robust_sd
+from isetval.measure.noise.line_moments import LineMoments, line_moments, plane_line_moments
+from isetval.measure.noise.linearity import Response
 from isetval.measure.noise.moments import Moments, central, frame_moments
-from isetval.measure.noise.passes import Passes
-from isetval.measure.noise.quantized import fit_quantized, unrounded_variance
-from isetval.measure.noise.reference import DarkLevel
+from isetval.measure.noise.quantization import fit_quantized, unrounded_variance
+from isetval.measure.noise.setups import Setups
 from isetval.measure.noise.statistics import line_scatter, noisy_limit
 
-CLIPPED_SHARE = 1e-3
-PLATEAU_SD = 4.5
 MAX_DEFECT_SHARE = 0.02
 SMALL_SPREAD_DN = 0.4
 ROUNDED_BELOW_DN2 = 0.6
@@ -49,7 +48,8 @@ class Level:
     clipped_high: float
     clipped_low: float
     fixed: FixedPattern | None
-    captures: tuple[Capture, ...]
+    white_dn: float
+    numbers: tuple[int, ...]
     rounded: bool = False
     used: bool = True
     reason: str = ""
@@ -63,6 +63,10 @@ class LevelSeries:
     black_dn: Quantity
     range_dn: float
     cut_dn: float = math.inf
+
+    def with_level(self, level: Level) -> LevelSeries:
+        """The series with one level in place of that of the same captures."""
+        return replace(self, levels=tuple(level if level.numbers == own.numbers else own for own in self.levels))
 
     def points(self) -> Points:
         """The used levels as points of the curve."""
@@ -78,44 +82,81 @@ class LevelSeries:
 
 
 def measure_levels(
-    flats: Sequence[Sequence[Capture]], plane: str, roi: Roi | None, reference: DarkLevel | None, passes: Passes
-) -> LevelSeries:
-    """Moments of every level; defective pixels (seen in the dark or in a middle level) are left out.
+    setups: Setups, roi: Roi | None, dark: Mapping[str, DarkLevel], profile_black_dn: Mapping[str, float]
+) -> dict[str, LevelSeries]:
+    """Moments of every level of all planes, one set-up after the other; defective pixels are left out.
 
+    Defects are those seen in the dark or in a middle level, which is therefore measured first.
     The fixed pattern is taken from every level of a small region that is above a tenth of the brightest (each other
     weighs less than .01), but from the middle level only of a large one (of its center if it is very large), where that
     already reaches what the specimen's own pattern allows.
     """
-    tag = plane_black_dn(flats[0][0], plane)
-    black = reference.black_dn if reference is not None else Quantity(tag, 0.0, "DN")
-    middle = len(flats) // 2
-    whole = [plane_view(c, plane, roi)[0] for c in flats[middle]]
-    views = [central(view) for view in whole]
-    moments = frame_moments(views, black.value)
-    bad = _defects(moments, reference.defects if reference is not None else None)
-    if bad is not None:
-        moments = frame_moments(views, black.value, bad=bad)
-    small = whole[0].size * len(flats) <= ALL_PATTERNS_PIXELS
-    light = [float(passes.of(frames)[plane].row_means.mean()) - black.value for frames in flats]
-    known = bad if views[0].shape == whole[0].shape else None
-
-    def measure(i: int) -> Level:
-        own, left_out = (moments, known) if i == middle else (None, known)
-        if small and i != middle and light[i] > PATTERN_FROM * max(light):
-            frames = [central(plane_view(c, plane, roi)[0]) for c in flats[i]]
-            own = frame_moments(frames, black.value, bad=bad)
-        return _level(flats[i], plane, roi, black.value, own, passes, left_out)
-
-    levels = [measure(i) for i in range(len(flats))]
-    range_dn = flats[0][0].sensor.white_dn - black.value
-    return LevelSeries(tuple(sorted(levels, key=lambda level: level.mean_dn)), black, range_dn)
+    middle = len(setups.flats) // 2
+    found: dict[str, list[Level]] = {}
+    planes: dict[str, _Plane] = {}
+    for i in [middle, *(i for i in range(len(setups.flats)) if i != middle)]:
+        for plane, level in _measure_setup(setups, i, roi, dark, profile_black_dn, planes).items():
+            found.setdefault(plane, []).append(level)
+    return {
+        name: LevelSeries(tuple(sorted(found[name], key=lambda level: level.mean_dn)), plane.black_dn, plane.range_dn)
+        for name, plane in planes.items()
+    }
 
 
-def with_pattern(level: Level, plane: str, roi: Roi | None, black_dn: float) -> Level:
+@dataclass(eq=False)
+class _Plane:
+    """What the darks and the middle level say of a plane before its other levels are measured."""
+
+    black_dn: Quantity
+    range_dn: float
+    bad: NDArray[np.bool_] | None
+
+
+def _measure_setup(
+    setups: Setups,
+    i: int,
+    roi: Roi | None,
+    dark: Mapping[str, DarkLevel],
+    profile_black_dn: Mapping[str, float],
+    planes: dict[str, _Plane],
+) -> dict[str, Level]:
+    """One level of all planes; that of the middle fills ``planes``.  The frames live as long as this call."""
+    frames = setups.frames(setups.flats[i])
+    lines = plane_line_moments(frames, roi, profile_black_dn)
+    out = {}
+    for name in planes_of(frames[0]):
+        whole = [plane_view(c, name, roi)[0] for c in frames]
+        views = [central(view) for view in whole]
+        moments = None
+        if name not in planes:
+            tag = Quantity(plane_black_dn(frames[0], name), 0.0, "DN")
+            black = dark[name].black_dn if name in dark else tag
+            moments = frame_moments(views, black.value)
+            bad = _defects(moments, dark[name].defects if name in dark else None)
+            planes[name] = _Plane(black, frames[0].sensor.white_dn - black.value, bad)
+            moments = moments if bad is None else frame_moments(views, black.value, bad=bad)
+        plane = planes[name]
+        if moments is None and _has_pattern(setups, i, name, whole[0].size):
+            moments = frame_moments(views, plane.black_dn.value, bad=plane.bad)
+        left_out = plane.bad if views[0].shape == whole[0].shape else None
+        level = _level(frames, whole, plane.black_dn.value, moments, lines[name], left_out)
+        out[name] = replace(level, numbers=setups.flats[i])
+    return out
+
+
+def _has_pattern(setups: Setups, i: int, plane: str, pixels: int) -> bool:
+    """Whether the fixed pattern is taken from a level that is not the middle one."""
+    if pixels * len(setups.flats) > ALL_PATTERNS_PIXELS:
+        return False
+    light = [setups.light_dn(numbers, plane) for numbers in setups.flats]
+    return light[i] > PATTERN_FROM * max(light)
+
+
+def with_pattern(level: Level, setups: Setups, plane: str, roi: Roi | None, black_dn: float) -> Level:
     """The level with its fixed pattern, measured now if it was not."""
     if level.fixed is not None:
         return level
-    views = [central(plane_view(c, plane, roi)[0]) for c in level.captures]
+    views = [central(plane_view(c, plane, roi)[0]) for c in setups.frames(level.numbers)]
     return replace(level, fixed=_pattern(frame_moments(views, black_dn), level.row_temporal))
 
 
@@ -142,19 +183,15 @@ def surface_degree(shape: tuple[int, ...]) -> int:
 
 def _level(
     captures: Sequence[Capture],
-    plane: str,
-    roi: Roi | None,
+    views: Sequence[NDArray[np.uint16]],
     black: float,
     moments: Moments | None,
-    passes: Passes,
+    sums: LineMoments,
     bad: NDArray[np.bool_] | None,
 ) -> Level:
-    views = [plane_view(c, plane, roi)[0] for c in captures]
     white = captures[0].sensor.white_dn
-    if bad is None:
-        sums = passes.of(captures)[plane]
-    else:
-        sums = line_sums(views, black_dn={(0, 0): black}, white_dn=white, bad=bad)[0, 0]
+    if bad is not None:
+        sums = line_moments(views, black_dn={(0, 0): black}, white_dn=white, bad=bad)[0, 0]
     means = sums.row_means - black
     rows, frames = means.shape[1], sums.frames
     variance = sums.variance_dn2
@@ -180,11 +217,12 @@ def _level(
         clipped_high=sums.clipped_high,
         clipped_low=sums.clipped_low,
         fixed=_pattern(moments, row) if moments is not None else None,
-        captures=tuple(captures),
+        white_dn=white,
+        numbers=(),
     )
 
 
-def _pooled_variance(sums: LineSums) -> float:
+def _pooled_variance(sums: LineMoments) -> float:
     """Unbiased variance of all values of all frames about their one mean, DN^2.
 
     What a pixel does about its mean (F - 1 of F parts), what mean pixels do about theirs, and what rows do from frame to
@@ -217,57 +255,32 @@ def _skewness(view: NDArray[np.uint16]) -> float:
     return float(np.mean(values**3)) / variance**1.5 if variance > 0 else 0.0
 
 
-def cut_series(series: LevelSeries, cut_dn: float | None = None) -> tuple[LevelSeries, tuple[str, ...]]:
-    """Mark the levels that are unusable: clipped at either end, above the saturation knee.
+def prnu_percent(series: LevelSeries, dark: DarkLevel | None, response: Response | None = None) -> Quantity:
+    """Pixel-to-pixel photo-response non-uniformity, %.
 
-    The knee is found, not assumed: levels brighter than the one of largest variance whose variance falls, and levels
-    whose noise reaches the plateau that those show.  A given ``cut_dn`` is used instead.
+    Notes
+    -----
+    The signed pixel variances F of the mean images follow F = D + p^2 m^2 (DSNU D from the dark, or zero).  They
+    are averaged with weights m^4 / var, with m replaced by L R'(L) under a known response m = R(L).  The part of
+    their error that is the specimen's own pattern is common to all.
     """
-    if cut_dn is not None:
-        marked = [_reject(level, "above_given_cut") if level.mean_dn > cut_dn * (1 + 1e-9) else level for level in series.levels]
-        return replace(series, levels=tuple(marked), cut_dn=cut_dn), ()
-    levels = [_clipping(level, series.levels) for level in series.levels]
-    levels = _knee(levels)
-    used = [level for level in levels if level.used]
-    flags = () if len(used) == len(levels) else ("saturated_levels_left_out",)
-    if any(level.reason == "clipped_at_zero" for level in levels):
-        flags = (*flags, "clipped_at_zero")
-    return replace(series, levels=tuple(levels), cut_dn=used[-1].mean_dn if used else math.nan), flags
-
-
-def _reject(level: Level, reason: str) -> Level:
-    return replace(level, used=False, reason=reason)
-
-
-def _clipping(level: Level, levels: Sequence[Level]) -> Level:
-    always = min(other.clipped_high for other in levels)
-    if level.clipped_high - (always if always < 0.01 else 0.0) > CLIPPED_SHARE:
-        return _reject(level, "clipped_at_white")
-    if level.clipped_low > 0.01:
-        return _reject(level, "clipped_at_zero")
-    if not level.raw_variance_dn2 > 1e-6:
-        return _reject(level, "no_noise")
-    if level.mean_dn <= 0:
-        return _reject(level, "no_signal")
-    return level
-
-
-def _knee(levels: list[Level]) -> list[Level]:
-    used = [level for level in levels if level.used]
-    if len(used) < 3:
-        return levels
-    top = max(used, key=lambda level: level.variance_dn2)
-    fallen = [
-        level
-        for level in used
-        if level.mean_dn > top.mean_dn
-        and level.variance_dn2 < top.variance_dn2 - 4 * math.hypot(level.variance_sigma_dn2, top.variance_sigma_dn2)
-    ]
-    if not fallen:
-        return levels
-    plateau = max(level.mean_dn for level in fallen)
-
-    def reaches(level: Level) -> bool:
-        return level.mean_dn + PLATEAU_SD * math.sqrt(level.variance_dn2 + level.spread_dn2) > plateau
-
-    return [_reject(level, "above_saturation_knee") if level.used and reaches(level) else level for level in levels]
+    used = [level for level in series.levels if level.used]
+    used = [level for level in used if level.fixed is not None]
+    offset = dark.dsnu_variance if dark is not None and dark.frames > 1 else Quantity(0.0, 0.0, "DN^2")
+    if not used:
+        return Quantity(math.nan, math.nan, "%")
+    mean = np.array([level.mean_dn for level in used])
+    square = mean**2
+    if response is not None:
+        linear = response.linear(mean)
+        square = (linear * response.slope(linear)) ** 2
+    pattern = [level.fixed.pixel for level in used if level.fixed is not None]
+    values = np.array([q.value for q in pattern]) - offset.value
+    own = np.array([q.sigma for q in pattern])
+    weight = square**2 / np.maximum(own, 1e-12) ** 2
+    weight /= weight.sum()
+    value = float(weight @ (values / square))
+    common = float(weight @ (np.array([q.shared for q in pattern]) / square))
+    from_dark = offset.total_sigma * float(weight @ (1 / square))
+    sigma = math.sqrt(float(weight**2 @ (own / square) ** 2) + common**2 + from_dark**2)
+    return root(Quantity(value, sigma).scaled(1e4, "%^2"), "%")

@@ -6,17 +6,12 @@ Accurate smartphone camera simulation using 3D scenes; appendices on conversion 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
 from isetval.core.quantity import Quantity
-
-if TYPE_CHECKING:
-    from isetval.measure.noise.patches import Patch
 
 Float = NDArray[np.float64]
 
@@ -50,14 +45,21 @@ def single_level_gain(mean_dn: float, variance_dn2: float, prnu: float, *, value
     return Quantity(gain, sigma, "DN/e-")
 
 
-def published_rule(
-    capture: Capture, corners: NDArray[np.int64], size: int, channel: str, gain_dn_per_e: float, seed: int
-) -> list[Patch]:
-    """Apply the published rule for uniform regions to one frame.
+def departure_from_uniform(values: Float, row: Float, col: Float, gain_dn_per_e: float, rng: np.random.Generator) -> str:
+    """Reason why the published rule rejects the values of a region, empty if it accepts them.
 
-    A patch is rejected when its raw mean is at most 2 DN or above .997 of white; when any value differs from the median
-    by more than three Poisson sd, sqrt(median K); or when, over 20 % of the values drawn with replacement and held out,
-    the error of a constant exceeds 1.02 times the error of a second-degree surface fitted to the others.
+    Rejected when any value differs from the median by more than three Poisson sd, sqrt(median K); or when, over 20 % of
+    the values drawn with replacement and held out, the error of a constant exceeds 1.02 times the error of a
+    second-degree surface fitted to the others.
+
+    Parameters
+    ----------
+    values, row, col : array (pixels,)
+        DN above black, and their places on the mosaic.
+    gain_dn_per_e : float
+        Conversion gain, for the Poisson sd.
+    rng : numpy Generator
+        Draws what is held out.
 
     Notes
     -----
@@ -65,46 +67,12 @@ def published_rule(
     lacks read noise) unless shading that it misses makes them read high.  Values are taken at their true places; the
     published code flattens both greens into one array of half the width.
     """
-    from isetval.measure.noise.patches import Patch
-
-    rng = np.random.default_rng(seed)
-    out = []
-    for row, col in corners:
-        values, y, x = _values(capture, (int(row), int(row) + size, int(col), int(col) + size), channel)
-        raw = float(values.mean()) + float(np.mean(capture.sensor.black_dn))
-        white = capture.sensor.white_dn
-        reason = "out_of_range" if raw <= 2 or raw > 0.997 * white else _verdict(values, y, x, gain_dn_per_e, rng)
-        std = float(np.std(values, ddof=1))
-        n = values.size
-        region = (int(row), int(row) + size, int(col), int(col) + size)
-        mean = float(values.mean())
-        out.append(Patch(region, channel, mean, std / math.sqrt(n), math.nan, std, std / math.sqrt(2 * (n - 1)), n, reason))
-    return out
-
-
-def _values(capture: Capture, region: Roi, channel: str) -> tuple[Float, Float, Float]:
-    planes = (
-        ("Gr", "Gb")
-        if channel == "G" and capture.sensor.cfa != "MONO"
-        else (planes_of(capture)[0] if channel == "G" else channel,)
-    )
-    values, rows, cols = [], [], []
-    for plane in planes:
-        view, (row, col), step = plane_view(capture, plane, region)
-        grid_y, grid_x = np.mgrid[0 : view.shape[0], 0 : view.shape[1]]
-        values.append(view.ravel() - plane_black_dn(capture, plane))
-        rows.append(grid_y.ravel() * step + row - region[0])
-        cols.append(grid_x.ravel() * step + col - region[2])
-    return np.concatenate(values), np.concatenate(rows).astype(float), np.concatenate(cols).astype(float)
-
-
-def _verdict(values: Float, y: Float, x: Float, gain: float, rng: np.random.Generator) -> str:
     median = float(np.median(values))
-    if np.any(np.abs(values - median) > 3 * math.sqrt(max(median * gain, 0.0))):
+    if np.any(np.abs(values - median) > 3 * math.sqrt(max(median * gain_dn_per_e, 0.0))):
         return "outlier"
     held = np.unique(rng.integers(0, values.size, max(values.size // 5, 1)))
     kept = np.setdiff1d(np.arange(values.size), held)
-    u, v = (y - y.mean()) / max(np.ptp(y), 1.0), (x - x.mean()) / max(np.ptp(x), 1.0)
+    u, v = (row - row.mean()) / max(np.ptp(row), 1.0), (col - col.mean()) / max(np.ptp(col), 1.0)
     design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
     surface = design @ np.linalg.lstsq(design[kept], values[kept], rcond=None)[0]
     by_constant = math.sqrt(float(np.sum((values[held] - values[kept].mean()) ** 2)))

@@ -12,7 +12,8 @@ scaling by row means rather than subtracting frame means is what makes the estim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.capture import Roi
 from isetval.core.quantity import Quantity
 
 Float = NDArray[np.float64]
@@ -193,3 +195,57 @@ def column_profile(columns: Values, noise: float) -> Values:
         return np.ones_like(columns)
     profile = 1 + weight * (columns / level - 1)
     return np.asarray(profile / profile.mean())
+
+
+def neighbor_covariances(planes: Mapping[str, tuple[Moments, tuple[int, int]]], region: Roi) -> dict[str, Quantity]:
+    """Covariance of the temporal noise of neighboring mosaic pixels, DN^2.
+
+    Brighter-fatter charge repulsion, read-out crosstalk and noise reduction in the "raw" data correlate
+    *neighbors*, which on a Bayer sensor have another color; a covariance inside a plane would miss them.
+    Horizontal (lag (0, 1)) and vertical (lag (1, 0)) pairs, apart for each pair of planes.
+
+    Parameters
+    ----------
+    planes : mapping
+        Plane -> moments with their residuals, and the mosaic pixel (row, col) of the plane's first value.
+    region : (row0, row1, col0, col1)
+        Mosaic rows and columns that the planes cover.
+    """
+    first = next(iter(planes.values()))[0]
+    assert first.residual is not None
+    frames = first.frames
+    mosaic = np.zeros((frames, region[1] - region[0], region[3] - region[2]), first.residual.dtype)
+    step = 1 if "MONO" in planes else 2
+    owner: dict[tuple[int, int], str] = {}
+    for plane, (moments, (row, col)) in planes.items():
+        r, c = row - region[0], col - region[2]
+        mosaic[:, r::step, c::step] = moments.residual
+        owner[(r, c)] = plane
+    quantities: dict[str, Quantity] = {}
+    for lag, name in (((0, 1), "h"), ((1, 0), "v")):
+        for pair, (value, pixels) in _pair_products(mosaic, lag, owner, step).items():
+            a, b = (planes[p][0] for p in pair)
+            value /= (frames - 1) * pixels
+            own = a.temporal.value / a.shape[1] if step == 1 and name == "h" else 0.0
+            sigma = math.sqrt(a.temporal.value * b.temporal.value / (pixels * (frames - 1)))
+            label = "" if step == 1 else f"_{pair[0].lower()}_{pair[1].lower()}"
+            quantities[f"covariance_{name}{label}_dn2"] = Quantity(float(value + own), sigma, "DN^2")
+    return quantities
+
+
+def _pair_products(
+    mosaic: Values, lag: tuple[int, int], owner: Mapping[tuple[int, int], str], step: int
+) -> dict[Any, tuple[float, int]]:
+    """Sum of products of neighbors and number of pairs, for each unordered pair of planes."""
+    _, rows, cols = mosaic.shape
+    left = mosaic[:, : rows - lag[0], : cols - lag[1]]
+    right = mosaic[:, lag[0] :, lag[1] :]
+    product = np.einsum("fij,fij->ij", left, right)
+    out: dict[Any, tuple[float, int]] = {}
+    for (row, col), plane in owner.items():
+        other = owner[((row + lag[0]) % step, (col + lag[1]) % step)]
+        pair = tuple(sorted((plane, other), key=("R", "Gr", "Gb", "B", "MONO").index))
+        part = product[row::step, col::step]
+        total, count = out.get(pair, (0.0, 0))
+        out[pair] = (total + float(part.sum(dtype=np.float64)), count + part.size)
+    return out

@@ -9,21 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
-from isetval.core.errors import InputError
 from isetval.core.quantity import Quantity
-from isetval.measure.noise.codes import code_statistics
-from isetval.measure.noise.decomposition import FixedPattern, decompose
-from isetval.measure.noise.moments import Moments, frame_moments
+from isetval.measure.noise.fixed_pattern import FixedPattern, decompose
+from isetval.measure.noise.moments import Moments, frame_moments, neighbor_covariances
+from isetval.measure.noise.quantization import code_statistics
+from isetval.measure.noise.setups import check_frames, check_region
 
 Float = NDArray[np.float64]
 NAN = float("nan")
-MIN_SIDE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,32 +78,6 @@ def dark_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degr
     return _statistics(captures, roi, degree, relative=False)
 
 
-def check_frames(captures: Sequence[Capture]) -> None:
-    """Refuse no frames, and frames that are not of one size and pattern."""
-    if not captures:
-        raise InputError("no captures were given; at least one frame is needed")
-    first = captures[0]
-    for number, capture in enumerate(captures):
-        same = (capture.mosaic.shape, capture.sensor.cfa, capture.window) == (first.mosaic.shape, first.sensor.cfa, first.window)
-        if not same:
-            raise InputError(
-                f"capture {number} is {capture.mosaic.shape} {capture.sensor.cfa} at {capture.window}, the first is "
-                f"{first.mosaic.shape} {first.sensor.cfa} at {first.window}; "
-                "frames analyzed together need one size, pattern and place"
-            )
-
-
-def check_region(capture: Capture, roi: Roi | None) -> None:
-    """Refuse a region in which a plane has fewer than 4 x 4 pixels."""
-    for plane in planes_of(capture):
-        shape = plane_view(capture, plane, roi)[0].shape
-        if min(shape) < MIN_SIDE:
-            raise InputError(
-                f"plane {plane} has {shape[0]} x {shape[1]} pixels in roi {roi or 'None (whole frame)'}; noise needs at least "
-                f"{MIN_SIDE} x {MIN_SIDE} of each color: enlarge the region"
-            )
-
-
 def plane_moments(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, keep: bool = False) -> Moments:
     """Moments of one colour plane of same-sized captures, DN above their black level."""
     views = [plane_view(capture, plane, roi)[0] for capture in captures]
@@ -126,7 +98,7 @@ def _statistics(captures: Sequence[Capture], roi: Roi | None, degree: int, *, re
         out[plane] = _plane_statistics(plane, (moments, clean), codes, degree, relative=relative)
     region = check_roi(captures[0], roi)
     if len(captures) > 1:
-        out["mosaic"] = neighbour_covariance(residuals, region)
+        out["mosaic"] = _mosaic_statistics(neighbor_covariances(residuals, region), len(captures), region)
     return out
 
 
@@ -308,49 +280,6 @@ def _correlation(names: list[str], quantities: Mapping[str, Quantity], fixed: Fl
     return out
 
 
-def neighbour_covariance(planes: Mapping[str, tuple[Moments, tuple[int, int]]], region: Roi) -> PlaneStatistics:
-    """Covariance of the temporal noise of neighbouring mosaic pixels, DN^2.
-
-    Brighter-fatter charge repulsion, read-out crosstalk and noise reduction in the "raw" data correlate
-    *neighbours*, which on a Bayer sensor have another color; a covariance inside a plane would miss them.
-    Horizontal (lag (0, 1)) and vertical (lag (1, 0)) pairs, apart for each pair of planes.
-    """
-    first = next(iter(planes.values()))[0]
-    assert first.residual is not None
-    frames = first.frames
-    mosaic = np.zeros((frames, region[1] - region[0], region[3] - region[2]), first.residual.dtype)
-    step = 1 if "MONO" in planes else 2
-    owner: dict[tuple[int, int], str] = {}
-    for plane, (moments, (row, col)) in planes.items():
-        r, c = row - region[0], col - region[2]
-        mosaic[:, r::step, c::step] = moments.residual
-        owner[(r, c)] = plane
-    quantities: dict[str, Quantity] = {}
-    for lag, name in (((0, 1), "h"), ((1, 0), "v")):
-        for pair, (value, pixels) in _pair_products(mosaic, lag, owner, step).items():
-            a, b = (planes[p][0] for p in pair)
-            value /= (frames - 1) * pixels
-            own = a.temporal.value / a.shape[1] if step == 1 and name == "h" else 0.0
-            sigma = math.sqrt(a.temporal.value * b.temporal.value / (pixels * (frames - 1)))
-            label = "" if step == 1 else f"_{pair[0].lower()}_{pair[1].lower()}"
-            quantities[f"covariance_{name}{label}_dn2"] = Quantity(float(value + own), sigma, "DN^2")
-    pixels = mosaic[0].size
-    return PlaneStatistics("mosaic", frames, pixels, quantities, np.eye(len(quantities)), np.full(frames, NAN), NAN)
-
-
-def _pair_products(
-    mosaic: NDArray[Any], lag: tuple[int, int], owner: Mapping[tuple[int, int], str], step: int
-) -> dict[Any, tuple[float, int]]:
-    """Sum of products of neighbours and number of pairs, for each unordered pair of planes."""
-    _, rows, cols = mosaic.shape
-    left = mosaic[:, : rows - lag[0], : cols - lag[1]]
-    right = mosaic[:, lag[0] :, lag[1] :]
-    product = np.einsum("fij,fij->ij", left, right)
-    out: dict[Any, tuple[float, int]] = {}
-    for (row, col), plane in owner.items():
-        other = owner[((row + lag[0]) % step, (col + lag[1]) % step)]
-        pair = tuple(sorted((plane, other), key=("R", "Gr", "Gb", "B", "MONO").index))
-        part = product[row::step, col::step]
-        total, count = out.get(pair, (0.0, 0))
-        out[pair] = (total + float(part.sum(dtype=np.float64)), count + part.size)
-    return out
+def _mosaic_statistics(covariances: dict[str, Quantity], frames: int, region: Roi) -> PlaneStatistics:
+    pixels = (region[1] - region[0]) * (region[3] - region[2])
+    return PlaneStatistics("mosaic", frames, pixels, covariances, np.eye(len(covariances)), np.full(frames, NAN), NAN)

@@ -1,125 +1,54 @@
-"""Photon transfer: conversion gain, read noise, PRNU and the bends of the curve, per colour plane."""
+"""Photon transfer: conversion gain, read noise, PRNU and the bends of the curve, per color plane."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from isetval.core.capture import Capture, Roi, planes_of
+from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
-from isetval.core.quantity import Quantity
-from isetval.measure.noise.curve import Anchor, CurveFit, Points, Response, fit_curve, fit_response
-from isetval.measure.noise.grouping import Groups, group
-from isetval.measure.noise.levels import Level, LevelSeries, cut_series, measure_levels
+from isetval.core.quantity import Quantity, root
+from isetval.core.threads import one_blas_thread
+from isetval.measure.noise.curve import Anchor, CurveFit, Points, fit_curve
+from isetval.measure.noise.dark_level import DarkLevel, dark_level
+from isetval.measure.noise.level_selection import cut_series, left_out_level, settle
+from isetval.measure.noise.levels import Level, LevelSeries, measure_levels, prnu_percent, with_pattern
+from isetval.measure.noise.line_moments import plane_line_moments
+from isetval.measure.noise.linearity import LEAST_LEVELS, MeanResponse, mean_response, nonlinearity
 from isetval.measure.noise.lyu2022 import single_level_gain
-from isetval.measure.noise.offcurve import chosen, settle
-from isetval.measure.noise.passes import Passes
-from isetval.measure.noise.reference import DarkLevel, dark_level
-from isetval.measure.noise.statistics import PlaneStatistics
+from isetval.measure.noise.moments import frame_moments, neighbor_covariances
+from isetval.measure.noise.setups import Setups, sort_into_setups
+from isetval.measure.noise.transfer_result import NAN, PhotonTransfer, PlaneTransfer
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-NAN = float("nan")
-NOTHING = Quantity(NAN, NAN)
 METHODS = ("default", "lyu2022")
-JUMP = 0.08
-Extra = tuple[Mapping[str, Any], dict[int, PlaneStatistics], Passes]
-CORRELATED = 0.05
+JUMP = 0.08  # relative, from one level to the next: non-linear responses bend slower, hidden gains are 10 % and more
+LEAST_LIGHT_DN = 5.0  # below, a black level that is .4 DN off makes a jump by itself
+CORRELATED = 0.05  # of the variance: brighter-fatter reaches 2 % at full well, smoothing starts at 10 %
+COVARIANCE_SIDE = 512  # mosaic pixels: 2.6e5 pairs tell a correlation of .2 %
+BRIGHT_SHARE = 0.4  # of the highest mean: repulsion grows with its square, darker levels weigh nothing
+CLEAR_SD = 3.0
 
 
-@dataclass(frozen=True, eq=False)
-class PlaneTransfer:
-    """Photon transfer of one colour plane.
+@dataclass(eq=False)
+class _Series:
+    """The set-ups of one call and what was measured of them; neighbor covariances by level when first asked for."""
 
-    Parameters
-    ----------
-    gain_dn_per_e : Quantity
-        Conversion gain K, DN/e-; sigma covers the choice of terms, not ``cut_spread``.
-    read_noise_e, read_noise_dn : Quantity
-        Temporal dark noise of a pixel (read and reset noise together) without rounding.
-    prnu : Quantity
-        Pixel-to-pixel photo-response non-uniformity, % (smooth shading and row / column parts taken out).
-    dsnu_e : Quantity
-        Pixel-to-pixel dark offset, e- (from dark frames).
-    black_dn : Quantity
-        Black level used, raw DN.
-    quadratic : Quantity
-        c of V = V0 + K m + c m^2 after straightening, where that was possible.
-    nonlinearity : Quantity
-        Departure of the mean from a straight line at the highest level used, from exposure times (1 = all of it).
-    brighter_fatter_per_e : Quantity
-        A of V = mu (1 - A mu), 1/e-: -c, once the means are known to be straight or were straightened; else nan.
-    neighbor_covariance_per_e : Quantity
-        Sum of the covariances with the four nearest mosaic neighbours over the squared mean, 1/e-.
-    saturation_cut_dn : float
-        Highest mean used, DN above black.
-    cut_spread : float
-        Relative range of K when the series is cut at 50, 70 and 100 % of that: a systematic error.
-    flags : tuple of str
-        Reason codes; empty = nothing to report.
-    """
+    setups: Setups
+    roi: Roi | None
+    photons: Sequence[float | None] | None
+    dark: dict[str, DarkLevel]
+    covariances: dict[tuple[int, ...], dict[str, Quantity]] = field(default_factory=dict)
 
-    plane: str
-    gain_dn_per_e: Quantity
-    read_noise_e: Quantity
-    read_noise_dn: Quantity
-    prnu: Quantity
-    dsnu_e: Quantity
-    black_dn: Quantity
-    quadratic: Quantity = NOTHING
-    nonlinearity: Quantity = NOTHING
-    brighter_fatter_per_e: Quantity = NOTHING
-    neighbor_covariance_per_e: Quantity = NOTHING
-    saturation_cut_dn: float = NAN
-    cut_spread: float = NAN
-    chi2: float = NAN
-    dof: int = 0
-    levels: tuple[Level, ...] = ()
-    flags: tuple[str, ...] = ()
-    fit: CurveFit | None = None
-    choices: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class PhotonTransfer(Mapping[str, PlaneTransfer]):
-    """Plane name -> PlaneTransfer, with what was chosen from the data."""
-
-    planes: Mapping[str, PlaneTransfer]
-    method: str
-    notes: tuple[str, ...] = ()
-
-    def __getitem__(self, plane: str) -> PlaneTransfer:
-        if plane not in self.planes:
-            raise InputError(f"plane {plane!r} was not measured; there are {', '.join(self.planes)}")
-        return self.planes[plane]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.planes)
-
-    def __len__(self) -> int:
-        return len(self.planes)
-
-    @property
-    def choices(self) -> Mapping[str, Any]:
-        """What was chosen from the data, by plane; give it to a second run as ``choices``."""
-        return {name: plane.choices for name, plane in self.planes.items()}
-
-    def to_frame(self) -> pd.DataFrame:
-        """One row a quantity: plane, name, value, sigma, unit, flags, note."""
-        import pandas as pd
-
-        rows = []
-        for plane, result in self.planes.items():
-            for name, value in vars(result).items():
-                if isinstance(value, Quantity):
-                    flags = " ".join(result.flags)
-                    rows.append((plane, name, value.value, value.total_sigma, value.unit, flags, value.note))
-        return pd.DataFrame(rows, columns=["plane", "name", "value", "sigma", "unit", "flags", "note"])
+    def photons_of(self, level: Level) -> float | None:
+        """Mean photons per pixel of a level, None where one frame's is unknown."""
+        if self.photons is None:
+            return None
+        stated = [self.photons[i] for i in level.numbers]
+        return None if None in stated else float(np.mean([p for p in stated if p is not None]))
 
 
 def photon_transfer(
@@ -129,13 +58,16 @@ def photon_transfer(
     *,
     method: str = "default",
     choices: Mapping[str, Any] | None = None,
+    photons_per_pixel: Sequence[float | None] | None = None,
 ) -> PhotonTransfer:
     """Conversion gain and noise from frames of evenly lit fields.
 
     Parameters
     ----------
     captures : sequence of Capture
-        Two or more frames at each of one or more levels, and darks unless given apart.
+        Two or more frames at each of one or more levels, and darks unless given apart.  May decode a file at every access:
+        each frame is fetched once to be sorted and once to be measured (a few bright ones again), and one set-up is
+        held at a time.
     roi : (row0, row1, col0, col1), optional
         Region on the mosaic, the same for all.
     dark : sequence of Capture, optional
@@ -145,6 +77,9 @@ def photon_transfer(
         brightest unsaturated level.
     choices : mapping, optional
         ``choices`` of an earlier result: its saturation cut and model weights are used again.
+    photons_per_pixel : sequence of float or None, optional
+        Mean photons per pixel of each capture, from a radiometer: the means are then held against them, not against
+        exposure times, and the quantum efficiency is given.
 
     Returns
     -------
@@ -160,126 +95,177 @@ def photon_transfer(
 
     Notes
     -----
-    V(m) = V0 + K m + c m^2 with the temporal variance V of scaled frames (see ``moments``), Janesick (2007).
+    V(m) = V0 + K m + c m^2 with the temporal variance V of scaled frames (see ``moments``), Janesick (2007).  Means against
+    exposures tell a response that bends from charge repulsion; an exposure at which the light begins is fitted where
+    they demand it; where no response can be made of them, variance against mean alone is left (``linearity_from``).
     """
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
-    groups = group(captures, roi, dark)
-    known: dict[int, PlaneStatistics] = {}
-    passes = _passes(groups, roi)
-    planes = {
-        plane: _plane_transfer(groups, plane, roi, method, (dict((choices or {}).get(plane, {})), known, passes))
-        for plane in planes_of(groups.flats[0][0])
-    }
-    return PhotonTransfer(planes, method, groups.notes)
+    if photons_per_pixel is not None and len(photons_per_pixel) != len(captures):
+        raise InputError(
+            f"photons_per_pixel has {len(photons_per_pixel)} entries for {len(captures)} captures; it needs one each"
+        )
+    setups = sort_into_setups(captures, roi, dark)
+    return transfer_of_setups(setups, roi, method=method, choices=choices, photons_per_pixel=photons_per_pixel)
 
 
-def _passes(groups: Groups, roi: Roi | None) -> Passes:
-    """One pass over all frames, the darks first: they say where black is."""
-    passes = Passes(roi)
-    if len(groups.dark) > 1:
-        means = {plane: float(sums.row_means.mean()) for plane, sums in passes.of(groups.dark).items()}
-        passes = Passes(roi, means, passes.found)
-    passes.prepare(groups.flats)
-    return passes
+def transfer_of_setups(
+    setups: Setups,
+    roi: Roi | None,
+    *,
+    method: str = "default",
+    choices: Mapping[str, Any] | None = None,
+    photons_per_pixel: Sequence[float | None] | None = None,
+) -> PhotonTransfer:
+    """Photon transfer of captures that are sorted already; see ``photon_transfer``."""
+    with one_blas_thread():
+        levels, darks = _measure(setups, roi)
+        series = _Series(setups, roi, photons_per_pixel, darks)
+        planes = {
+            plane: _plane_transfer(series, plane, levels[plane], method, dict((choices or {}).get(plane, {}))) for plane in levels
+        }
+    return PhotonTransfer(planes, method, setups.notes)
 
 
-def _plane_transfer(groups: Groups, plane: str, roi: Roi | None, method: str, extra: Extra) -> PlaneTransfer:
-    choices, _, passes = extra
-    dark_sums = passes.of(groups.dark)[plane] if len(groups.dark) > 1 else None
-    reference = dark_level(groups.dark, plane, roi, sums=dark_sums) if groups.dark else None
-    series = measure_levels(groups.flats, plane, roi, reference, passes)
+def _measure(setups: Setups, roi: Roi | None) -> tuple[dict[str, LevelSeries], dict[str, DarkLevel]]:
+    """Levels and darks of all planes; the darks first: they say where black is."""
+    darks, profile_black_dn = _measure_darks(setups, roi)
+    return measure_levels(setups, roi, darks, profile_black_dn), darks
+
+
+def _measure_darks(setups: Setups, roi: Roi | None) -> tuple[dict[str, DarkLevel], dict[str, float]]:
+    """Plane -> dark level, and plane -> raw mean where there are two frames or more."""
+    if not setups.dark:
+        return {}, {}
+    frames = setups.frames(setups.dark)
+    lines = plane_line_moments(frames, roi) if len(frames) > 1 else {}
+    darks = {plane: dark_level(frames, plane, roi, lines=lines.get(plane)) for plane in planes_of(frames[0])}
+    return darks, {plane: float(line.row_means.mean()) for plane, line in lines.items()}
+
+
+def _plane_transfer(of: _Series, plane: str, series: LevelSeries, method: str, choices: Mapping[str, Any]) -> PlaneTransfer:
+    dark = of.dark.get(plane)
     series, flags = cut_series(series, choices.get("cut_dn"))
-    flags = (*groups.notes, *(reference.flags if reference else ()), *flags)
-    if not any(level.used for level in series.levels):
+    flags = (*of.setups.notes, *(dark.flags if dark else ()), *flags)
+    used = [level for level in series.levels if level.used]
+    if not used:
         reasons = ", ".join(sorted({level.reason for level in series.levels}))
         raise MeasurementError(
             f"plane {plane}: none of {len(series.levels)} levels is usable ({reasons}); photon transfer needs a lit level "
             "below saturation: shorten the exposure"
         )
+    if all(level.fixed is None for level in used):
+        top = with_pattern(used[-1], of.setups, plane, of.roi, series.black_dn.value)
+        series = series.with_level(top)
     if method == "lyu2022":
-        return _lyu2022(series, reference, plane, flags, roi)
-    return _default(series, reference, plane, flags, extra, roi)
+        return _lyu2022(series, dark, plane, flags)
+    anchor = _anchor(dark)
+    if anchor is None and len(used) < 2:
+        return _one_level_without_dark(series, dark, plane, flags)
+    return _from_curve(of, series, plane, flags, anchor, choices)
 
 
-def _anchor(reference: DarkLevel | None, series: LevelSeries) -> Anchor | None:
-    if reference is None or not math.isfinite(reference.read_variance.value):
+def _anchor(dark: DarkLevel | None) -> Anchor | None:
+    if dark is None or not math.isfinite(dark.read_variance.value):
         return None
-    rounded = reference.rounded_variance
-    return Anchor(rounded.value, max(rounded.sigma, 1e-4), reference.black_dn.sigma)
+    rounded = dark.rounded_variance
+    return Anchor(rounded.value, max(rounded.sigma, 1e-4), dark.black_dn.sigma)  # 1e-4 DN^2: keeps the normal matrix regular
 
 
-def _default(
+def _from_curve(
+    of: _Series,
     series: LevelSeries,
-    reference: DarkLevel | None,
     plane: str,
     flags: tuple[str, ...],
-    extra: Extra,
-    roi: Roi | None,
+    anchor: Anchor | None,
+    choices: Mapping[str, Any],
 ) -> PlaneTransfer:
-    from isetval.measure.noise.bends import covariance_per_e, nonlinearity_at
-    from isetval.measure.noise.response import prnu_percent
+    """Gain, read noise and bends from the curve of variance against mean."""
+    dark = of.dark.get(plane)
 
-    choices, known, _ = extra
-    anchor = _anchor(reference, series)
+    def fit_of(part: LevelSeries, scatter: float = 0.0) -> CurveFit:
+        response = _response(of, part).response
+        points = part.points().scattered(scatter)
+        return fit_curve(points, anchor, full_scale_dn=part.range_dn, response=response, weights=choices.get("weights"))
+
+    settled = settle(series, fit_of, choices)
+    series, fit = settled.series, settled.fit
     used = [level for level in series.levels if level.used]
-    if anchor is None and len(used) < 2:
-        return _one_level_without_dark(series, reference, plane, flags, roi)
-
-    def fit_of(part: LevelSeries) -> CurveFit:
-        response = _response([level for level in part.levels if level.used])
-        full = part.range_dn
-        return fit_curve(part.points(), anchor, full_scale_dn=full, response=response, weights=choices.get("weights"))
-
-    series, fit, more = settle(series, fit_of, choices)
-    flags += more
-    points, used = series.points(), [level for level in series.levels if level.used]
-    response = _response(used)
+    response = _response(of, series)
     gain = Quantity(fit.gain, fit.gain_sigma, "DN/e-")
     if not gain.value > 0:
         raise MeasurementError(
             f"plane {plane}: the variance does not rise with the mean (K = {gain}); the frames look clipped, smoothed or not raw"
         )
-    if "poor_fit" in more:
-        gain = Quantity(gain.value, gain.sigma * math.sqrt(fit.chi2 / max(fit.dof, 1)), gain.unit)
-    read_dn = _read_noise_dn(fit, reference)
-    flags += () if reference is not None else ("read_noise_extrapolated",)
-    straight = response is not None or (_timed(used) and used[-1].mean_dn > 0)
+    read_dn = _read_noise_dn(fit, dark)
+    neighbors = _covariance_per_e(of, used, plane)
     bend = _bend(fit, response)
-    if not straight and abs(bend.value) > 3 * bend.sigma:
-        flags += ("bend_of_unknown_cause",)
-    neighbors = covariance_per_e(series, plane, roi, known)
-    flags += _doubts(used, neighbors)
+    flags += settled.flags
+    flags += () if dark is not None else ("read_noise_extrapolated",)
+    flags += _doubts(used, response, bend, neighbors, dark)
     return PlaneTransfer(
         plane=plane,
         gain_dn_per_e=gain,
         read_noise_e=_in_electrons(read_dn, gain, fit.joint),
         read_noise_dn=read_dn,
-        prnu=prnu_percent(series, reference, plane, roi, response),
-        dsnu_e=_dsnu_e(reference, gain),
+        prnu=prnu_percent(series, dark, response.response),
+        dsnu_e=_dsnu_e(dark, gain),
         black_dn=series.black_dn,
         quadratic=bend,
-        nonlinearity=nonlinearity_at(response, used),
-        brighter_fatter_per_e=Quantity(-bend.value, bend.sigma, "1/e-") if straight else Quantity(NAN, NAN, "1/e-"),
+        nonlinearity=nonlinearity(response, _means(used)),
+        brighter_fatter_per_e=Quantity(-bend.value, bend.sigma, "1/e-") if response.known else Quantity(NAN, NAN, "1/e-"),
         neighbor_covariance_per_e=neighbors,
+        quantum_efficiency=_quantum_efficiency(response, used, gain),
+        exposure_offset=response.offset,
+        linearity_from=response.basis,
+        level_scatter_percent=100 * settled.scatter,
         saturation_cut_dn=series.cut_dn,
-        cut_spread=_cut_spread(points, anchor, response, fit),
-        chi2=fit.chi2,
-        dof=fit.dof,
+        cut_spread=_cut_spread(series.points().scattered(settled.scatter), anchor, response, fit),
+        chi2=settled.chi2,
+        dof=settled.dof,
         levels=series.levels,
         flags=tuple(dict.fromkeys(flags)),
         fit=fit,
-        choices={"cut_dn": series.cut_dn, "weights": dict(fit.weights), "off_curve": chosen(series)},
+        choices={
+            "cut_dn": series.cut_dn,
+            "weights": dict(fit.weights),
+            "off_curve": left_out_level(series),
+            "level_scatter": settled.scatter,
+        },
     )
 
 
-def _doubts(used: Sequence[Level], neighbors: Quantity) -> tuple[str, ...]:
-    """Flags for a gain hidden between exposures, and for noise that neighbors share (smoothed or resampled data)."""
+def _means(used: Sequence[Level]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.array([level.mean_dn for level in used])
+
+
+def _response(of: _Series, series: LevelSeries) -> MeanResponse:
+    used = [level for level in series.levels if level.used]
+    return mean_response(
+        _means(used),
+        np.array([level.mean_sigma_dn for level in used]),
+        time_s=[level.time_s for level in used],
+        photons=[of.photons_of(level) for level in used],
+        black_sigma_dn=series.black_dn.total_sigma,
+    )
+
+
+def _doubts(
+    used: Sequence[Level], response: MeanResponse, bend: Quantity, neighbors: Quantity, dark: DarkLevel | None
+) -> tuple[str, ...]:
+    """Flags for what the means say of light and response, and for noise that neighbors share (smoothed or resampled data)."""
     flags: tuple[str, ...] = ()
-    if _timed(used):
-        rate = np.array([level.mean_dn / level.time_s for level in used if level.time_s and level.mean_dn > 5])
+    if response.known:
+        rate = response.rate(_means(used))[_means(used)[response.exposure > 0] > LEAST_LIGHT_DN]
         if rate.size > 2 and float(np.max(np.abs(np.diff(np.log(rate))))) > JUMP:
             flags += ("means_not_linear_in_time",)
+        if response.offset.value:
+            # without darks a black level that is off by as much would look the same
+            flags += ("exposure_offset",) if dark is not None else ("exposure_offset_or_black_level",)
+    else:
+        known = {level.time_s for level in used if level.time_s is not None}
+        flags += ("variance_against_mean_alone",) if len(known) >= LEAST_LEVELS else ()
+        flags += ("bend_of_unknown_cause",) if abs(bend.value) > CLEAR_SD * bend.sigma else ()
     top = used[-1]
     share = neighbors.value * top.mean_dn**2 / top.variance_dn2
     if share > CORRELATED and neighbors.value > 5 * neighbors.sigma:
@@ -287,9 +273,9 @@ def _doubts(used: Sequence[Level], neighbors: Quantity) -> tuple[str, ...]:
     return flags
 
 
-def _bend(fit: CurveFit, response: Response | None) -> Quantity:
+def _bend(fit: CurveFit, response: MeanResponse) -> Quantity:
     """Coefficient c of the quadratic fit, or of the straightened one where the response is known; never averaged."""
-    if response is not None and "straight2" in fit.fits:
+    if response.response is not None and "straight2" in fit.fits:
         best = fit.fits["straight2"]
     elif "quadratic" in fit.fits:
         best = fit.fits["quadratic"]
@@ -298,21 +284,22 @@ def _bend(fit: CurveFit, response: Response | None) -> Quantity:
     return Quantity(float(best.coefficients[2]), math.sqrt(float(best.covariance[2, 2])))
 
 
-def _timed(used: Sequence[Level]) -> bool:
-    times = [level.time_s for level in used]
-    return None not in times and len(set(times)) == len(times) >= 5
+def _quantum_efficiency(response: MeanResponse, used: Sequence[Level], gain: Quantity) -> Quantity:
+    """Electrons per photon, %: rate of the straightened means over K."""
+    if response.basis != "photon numbers":
+        return Quantity(NAN, NAN, "%")
+    mean = _means(used)
+    linear = mean if response.response is None else response.response.linear(mean)
+    weight = response.exposure[response.exposure > 0]
+    rate = response.rate(linear)
+    value = float(np.average(rate, weights=weight))
+    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size)
+    return Quantity(100 * value, 100 * error, "%").over(Quantity(gain.value, gain.sigma, gain.unit), "%")
 
 
-def _response(used: Sequence[Level]) -> Response | None:
-    if not _timed(used):
-        return None
-    times = np.array([level.time_s for level in used], dtype=float)
-    return fit_response(times, np.array([level.mean_dn for level in used]), np.array([level.mean_sigma_dn for level in used]))
-
-
-def _read_noise_dn(fit: CurveFit, reference: DarkLevel | None) -> Quantity:
-    if reference is not None and math.isfinite(reference.read_variance.value):
-        return reference.read_noise_dn
+def _read_noise_dn(fit: CurveFit, dark: DarkLevel | None) -> Quantity:
+    if dark is not None and math.isfinite(dark.read_variance.value):
+        return dark.read_noise_dn
     value = fit.intercept - 1 / 12
     if value <= 0:
         return Quantity(NAN, NAN, "DN")
@@ -326,69 +313,91 @@ def _in_electrons(noise: Quantity, gain: Quantity, joint: float = 0.0) -> Quanti
     return Quantity(value, math.sqrt(max(square, 0.0)) / gain.value, "e-", 0.0, noise.note)
 
 
-def _dsnu_e(reference: DarkLevel | None, gain: Quantity) -> Quantity:
-    from isetval.core.quantity import root
-
-    if reference is None or reference.moments.frames < 2:
+def _dsnu_e(dark: DarkLevel | None, gain: Quantity) -> Quantity:
+    if dark is None or dark.frames < 2:
         return Quantity(NAN, NAN, "e-")
-    return _in_electrons(root(reference.dsnu_variance, "DN"), gain)
+    return _in_electrons(root(dark.dsnu_variance, "DN"), gain)
 
 
-def _cut_spread(points: Points, anchor: Anchor | None, response: Response | None, fit: CurveFit) -> float:
+def _cut_spread(points: Points, anchor: Anchor | None, response: MeanResponse, fit: CurveFit) -> float:
     """Relative range of K over cuts at 50, 70 and 100 % of the highest mean used; nan with too few levels."""
     top = float(points.mean_dn.max())
     gains = [fit.gain]
     for share in (0.5, 0.7):
         mask = points.mean_dn <= share * top
         if int(mask.sum()) >= 3:
-            gains.append(fit_curve(points.take(mask), anchor, response=response, weights=fit.weights).gain)
+            gains.append(fit_curve(points.take(mask), anchor, response=response.response, weights=fit.weights).gain)
     return (max(gains) - min(gains)) / fit.gain if len(gains) > 1 else NAN
 
 
-def _one_level_without_dark(
-    series: LevelSeries, reference: DarkLevel | None, plane: str, flags: tuple[str, ...], roi: Roi | None
-) -> PlaneTransfer:
+def _covariance_per_e(of: _Series, used: Sequence[Level], plane: str) -> Quantity:
+    """Sum of the covariances with the four nearest neighbors over the squared mean, 1/e-.
+
+    Charge repulsion takes A mu^2 from the variance of a pixel and gives it to the covariances with its neighbors; the
+    four nearest hold part of it, so this is a lower bound of A, measured apart from the variance.
+    """
+    bright = [level for level in used if level.mean_dn > BRIGHT_SHARE * used[-1].mean_dn]
+    bright = bright[-4:] if bright[0].pixels < COVARIANCE_SIDE**2 // 4 else bright[-2:]
+    value = weight_sum = 0.0
+    for level in bright:
+        if not level.mean_dn > 0:
+            continue
+        found = _four_neighbors(of, level, plane)
+        weight = (level.mean_dn**2 / found.sigma) ** 2 if found.sigma > 0 else 0.0
+        value += weight * found.value / level.mean_dn**2
+        weight_sum += weight
+    if not weight_sum > 0:
+        return Quantity(NAN, NAN, "1/e-")
+    return Quantity(value / weight_sum, 1 / math.sqrt(weight_sum), "1/e-")
+
+
+def _four_neighbors(of: _Series, level: Level, plane: str) -> Quantity:
+    if level.numbers not in of.covariances:
+        of.covariances[level.numbers] = _mosaic_covariances(of.setups.frames(level.numbers), of.roi)
+    found = of.covariances[level.numbers]
+    mine = [q for n, q in found.items() if plane == "MONO" or plane.lower() in n.split("_")[2:]]
+    return Quantity(2 * sum(q.value for q in mine), 2 * math.sqrt(sum(q.sigma**2 for q in mine)), "DN^2")
+
+
+def _mosaic_covariances(captures: Sequence[Capture], roi: Roi | None) -> dict[str, Quantity]:
+    row0, row1, col0, col1 = check_roi(captures[0], roi)
+    region = (row0, min(row1, row0 + COVARIANCE_SIDE), col0, min(col1, col0 + COVARIANCE_SIDE))
+    planes = {}
+    for name in planes_of(captures[0]):
+        views = [plane_view(c, name, region)[0] for c in captures]
+        _, first, _ = plane_view(captures[0], name, region)
+        planes[name] = (frame_moments(views, plane_black_dn(captures[0], name), keep=True, dtype=np.float32), first)
+    return neighbor_covariances(planes, region)
+
+
+def _one_level_without_dark(series: LevelSeries, dark: DarkLevel | None, plane: str, flags: tuple[str, ...]) -> PlaneTransfer:
     """One level and no dark variance: V / m is an upper bound of K."""
     level = next(level for level in series.levels if level.used)
-    gain = (level.variance_dn2 - 1 / 12) / level.mean_dn
-    sigma = math.hypot(level.variance_sigma_dn2 / level.mean_dn, 0.0)
-    from isetval.measure.noise.response import prnu_percent
-
-    return PlaneTransfer(
-        plane=plane,
-        gain_dn_per_e=Quantity(gain, sigma, "DN/e-"),
-        read_noise_e=Quantity(NAN, NAN, "e-"),
-        read_noise_dn=Quantity(NAN, NAN, "DN"),
-        prnu=prnu_percent(series, reference, plane, roi),
-        dsnu_e=Quantity(NAN, NAN, "e-"),
-        black_dn=series.black_dn,
-        saturation_cut_dn=series.cut_dn,
-        levels=series.levels,
-        flags=tuple(dict.fromkeys((*flags, "read_noise_unknown", "gain_is_upper_bound"))),
-        choices={"cut_dn": series.cut_dn},
-    )
+    gain = Quantity((level.variance_dn2 - 1 / 12) / level.mean_dn, level.variance_sigma_dn2 / level.mean_dn, "DN/e-")
+    return _of_one_level(gain, series, dark, plane, (*flags, "read_noise_unknown", "gain_is_upper_bound"))
 
 
-def _lyu2022(
-    series: LevelSeries, reference: DarkLevel | None, plane: str, flags: tuple[str, ...], roi: Roi | None
-) -> PlaneTransfer:
-    from isetval.measure.noise.response import prnu_percent
-
+def _lyu2022(series: LevelSeries, dark: DarkLevel | None, plane: str, flags: tuple[str, ...]) -> PlaneTransfer:
     level = [level for level in series.levels if level.used][-1]
-    prnu = prnu_percent(series, reference, plane, roi)
-    values = int(level.pixels * level.frames)
+    prnu = prnu_percent(series, dark)
     share = prnu.value / 100 if math.isfinite(prnu.value) and prnu.value > 0 else 0.0
-    gain = single_level_gain(level.mean_dn, level.pooled_variance_dn2, share, values=values)
+    gain = single_level_gain(level.mean_dn, level.pooled_variance_dn2, share, values=int(level.pixels * level.frames))
+    return _of_one_level(gain, series, dark, plane, (*flags, "read_noise_and_rounding_left_in"))
+
+
+def _of_one_level(
+    gain: Quantity, series: LevelSeries, dark: DarkLevel | None, plane: str, flags: tuple[str, ...]
+) -> PlaneTransfer:
     return PlaneTransfer(
         plane=plane,
         gain_dn_per_e=gain,
         read_noise_e=Quantity(NAN, NAN, "e-"),
         read_noise_dn=Quantity(NAN, NAN, "DN"),
-        prnu=prnu,
+        prnu=prnu_percent(series, dark),
         dsnu_e=Quantity(NAN, NAN, "e-"),
         black_dn=series.black_dn,
         saturation_cut_dn=series.cut_dn,
         levels=series.levels,
-        flags=tuple(dict.fromkeys((*flags, "read_noise_and_rounding_left_in"))),
+        flags=tuple(dict.fromkeys(flags)),
         choices={"cut_dn": series.cut_dn},
     )

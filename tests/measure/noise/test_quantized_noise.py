@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from noise_camera import DSNU_E, GAIN, NoiseCamera
 
-from isetval.measure.noise.quantized import fit_quantized, quantization_variance, unrounded_variance
+from isetval.measure.noise.quantization import fit_quantized, quantization_variance, unrounded_variance
 
 
 @pytest.mark.parametrize("black", [64.0, 64.25, 64.5])

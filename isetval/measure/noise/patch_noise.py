@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
-from isetval.measure.noise.statistics import check_frames
+from isetval.measure.noise.lyu2022 import departure_from_uniform
+from isetval.measure.noise.setups import check_frames
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 Float = NDArray[np.float64]
 METHODS = ("two_frame", "lyu2022")
 REASONS = ("", "clipped_at_white", "clipped_at_zero")
-CHUNK = 4096
+CHUNK = 4096  # patches at a time: some ten MB
+LYU_DARKEST_DN, LYU_BRIGHTEST = 2.0, 0.997  # raw mean, as in the published code
 
 
 @dataclass(frozen=True)
@@ -113,12 +115,10 @@ def uniform_patches(
     region = check_roi(frames[0], roi)
     corners = _corners(region, size, count, seed)
     if method == "lyu2022":
-        from isetval.measure.noise.lyu2022 import published_rule
-
         if gain_dn_per_e is None:
             raise InputError("method lyu2022 needs gain_dn_per_e (its outlier limit is three Poisson sd); give the gain in DN/e-")
         name = channel or ("MONO" if frames[0].sensor.cfa == "MONO" else "G")
-        return PatchTable(tuple(published_rule(frames[0], corners, size, name, gain_dn_per_e, seed)), method)
+        return PatchTable(tuple(_published_rule(frames[0], corners, size, name, gain_dn_per_e, seed)), method)
     if size % 2 and frames[0].sensor.cfa != "MONO":
         raise InputError(f"size is {size}; it needs an even number on a Bayer mosaic, so that every patch holds the same pixels")
     if len(frames) < 2:
@@ -210,3 +210,37 @@ def _moments(stack: Float, black: float, white: float) -> tuple[Float, Float, Fl
     temporal = total / ((frames - 1) * (pixels - np.clip(lost, 0.0, pixels / 2)))
     spatial = average.var(axis=(1, 2), ddof=1)
     return level, temporal, spatial, clip, pixels, (frames - 1) * (pixels - 1)
+
+
+def _published_rule(
+    capture: Capture, corners: NDArray[np.int64], size: int, channel: str, gain_dn_per_e: float, seed: int
+) -> list[Patch]:
+    """The published rule for uniform regions on one frame: also rejects raw means of at most 2 DN or above .997 of white."""
+    rng = np.random.default_rng(seed)
+    white = capture.sensor.white_dn
+    out = []
+    for row, col in corners:
+        region = (int(row), int(row) + size, int(col), int(col) + size)
+        values, y, x = _values(capture, region, channel)
+        mean, std, n = float(values.mean()), float(np.std(values, ddof=1)), values.size
+        raw = mean + float(np.mean(capture.sensor.black_dn))
+        in_range = LYU_DARKEST_DN < raw <= LYU_BRIGHTEST * white
+        reason = departure_from_uniform(values, y, x, gain_dn_per_e, rng) if in_range else "out_of_range"
+        out.append(Patch(region, channel, mean, std / math.sqrt(n), math.nan, std, std / math.sqrt(2 * (n - 1)), n, reason))
+    return out
+
+
+def _values(capture: Capture, region: Roi, channel: str) -> tuple[Float, Float, Float]:
+    planes = (
+        ("Gr", "Gb")
+        if channel == "G" and capture.sensor.cfa != "MONO"
+        else (planes_of(capture)[0] if channel == "G" else channel,)
+    )
+    values, rows, cols = [], [], []
+    for plane in planes:
+        view, (row, col), step = plane_view(capture, plane, region)
+        grid_y, grid_x = np.mgrid[0 : view.shape[0], 0 : view.shape[1]]
+        values.append(view.ravel() - plane_black_dn(capture, plane))
+        rows.append(grid_y.ravel() * step + row - region[0])
+        cols.append(grid_x.ravel() * step + col - region[2])
+    return np.concatenate(values), np.concatenate(rows).astype(float), np.concatenate(cols).astype(float)

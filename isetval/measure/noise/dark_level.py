@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
 from isetval.core.quantity import Quantity, root
-from isetval.measure.noise.decomposition import FixedPattern, decompose, robust_sd
-from isetval.measure.noise.linesums import LineSums
+from isetval.measure.noise.fixed_pattern import FixedPattern, decompose, robust_sd
+from isetval.measure.noise.line_moments import LineMoments
 from isetval.measure.noise.moments import Moments, central, frame_moments
-from isetval.measure.noise.quantized import QuantizedNoise, fit_quantized, quantization_variance
+from isetval.measure.noise.quantization import QuantizedNoise, fit_quantized, quantization_variance
 from isetval.measure.noise.statistics import noisy_limit, row_and_frame_scatter
 
 EXACT_BELOW_DN = 0.75
@@ -53,13 +53,18 @@ class DarkLevel:
     frame_scatter: Quantity
     dsnu_variance: Quantity
     fixed: FixedPattern
-    moments: Moments
+    frames: int
     exact: QuantizedNoise | None
     defects: NDArray[np.bool_]
     clipped_low: float
     hot: int
     noisy: int
     flags: tuple[str, ...]
+
+    def without_maps(self) -> DarkLevel:
+        """The same numbers without the maps of all pixels."""
+        none = np.empty((0, 0))
+        return replace(self, fixed=replace(self.fixed, surface=none), defects=none.astype(bool))
 
     @property
     def rounded_variance(self) -> Quantity:
@@ -74,13 +79,13 @@ class DarkLevel:
         return root(Quantity(self.read_variance.value, doubt, "DN^2"), "DN")
 
 
-def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, sums: LineSums | None = None) -> DarkLevel:
+def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, lines: LineMoments | None = None) -> DarkLevel:
     """Black level and noise of one plane from two or more dark frames (one frame: noise is nan).
 
-    With ``sums`` of the whole plane the fixed pattern and the defects of a large one are those of its center.
+    With ``lines`` of the whole plane the fixed pattern and the defects of a large one are those of its center.
     """
     whole = [plane_view(c, plane, roi)[0] for c in captures]
-    views = whole if sums is None else [central(view) for view in whole]
+    views = whole if lines is None else [central(view) for view in whole]
     tag = plane_black_dn(captures[0], plane)
     moments, defects, fixed, (hot, noisy) = _clean_moments(views, tag)
     row, frame = row_and_frame_scatter(moments)
@@ -95,8 +100,8 @@ def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, 
         exact = fit_quantized(views, defects)
     read, total, dsnu = _variances(moments, plain, exact, row, frame, fixed)
     mean, mean_sigma = _mean_without(moments, defects, plain)
-    if sums is not None and views[0].shape != whole[0].shape:
-        mean, mean_sigma = float(sums.row_means.mean()) - tag, math.sqrt(sums.variance_dn2 / sums.pixels / sums.frames)
+    if lines is not None and views[0].shape != whole[0].shape:
+        mean, mean_sigma = float(lines.row_means.mean()) - tag, math.sqrt(lines.variance_dn2 / lines.pixels / lines.frames)
     black = Quantity(tag + mean, mean_sigma, "DN", math.sqrt(max(dsnu.value, 0.0) / moments.average.size))
     if exact is not None and clipped > CLIPPED_SHARE:
         flags.append("black_clipped_at_zero")
@@ -109,7 +114,9 @@ def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, 
         flags.append(TAG_DIFFERS)
     if len(views) > 1 and frame.value > max(5 * _null_sigmas(moments, plain.value)[1], 0.01 * max(read.value, 1 / 12)):
         flags.append("dark_drift")
-    return DarkLevel(black, read, total, row, frame, dsnu, fixed, moments, exact, defects, clipped, hot, noisy, tuple(flags))
+    return DarkLevel(
+        black, read, total, row, frame, dsnu, fixed, moments.frames, exact, defects, clipped, hot, noisy, tuple(flags)
+    )
 
 
 def differs_from_tag(black: Quantity, tag_dn: float) -> bool:

@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
-from isetval.measure.noise.codes import code_statistics
-from isetval.measure.noise.focus import BLURRED_PX, edge_width_px
-from isetval.measure.noise.grouping import frame_mean, frame_noise
 from isetval.measure.noise.moments import frame_moments
-from isetval.measure.noise.statistics import check_region
+from isetval.measure.noise.quantization import code_statistics
+from isetval.measure.noise.setups import AT_BLACK_DN, check_region, frame_mean, frame_noise
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +22,12 @@ if TYPE_CHECKING:
 Float = NDArray[np.float64]
 FATAL = ("all_equal", "clipped_at_white", "clipped_at_zero", "mostly_black", "frames_identical")
 LARGEST = 1024
+TILE = 48
+LEAST_CONTRAST = 0.3
+LEAST_TILES = 3
+BLURRED_PX = 8.0
 BLACK_ADVICE = "take the black level from dark frames of the same mode"
+OFFSET_ADVICE = "frames are at black, yet the light begins at another exposure than 0: the lamp or the shutter starts late"
 
 
 @dataclass(frozen=True)
@@ -79,15 +82,21 @@ def quality(captures: Sequence[Capture] | Capture, roi: Roi | None = None) -> Qu
         there are edges), drift and flicker among frames of one exposure, and means that are not linear in exposure
         time (hidden digital gain).
     """
-    frames = [captures] if isinstance(captures, Capture) else list(captures)
+    frames = [captures] if isinstance(captures, Capture) else captures
     if not frames:
         raise InputError("no captures were given; at least one frame is needed")
     findings: list[Finding] = []
-    for capture in frames:
+    copies: list[Finding] = []
+    means, times = np.empty(len(frames)), []
+    previous: NDArray[np.uint16] | None = None
+    for number in range(len(frames)):
+        capture = frames[number]
         check_region(capture, roi)
-    for number, capture in enumerate(frames):
         findings += _single(capture, roi, f"capture {number}")
-    findings += _series(frames, roi)
+        copies += _copy(capture, previous, number)
+        means[number], previous = frame_mean(capture, roi), capture.mosaic
+        times.append(capture.exposure.time_s)
+    findings += copies + _series(frames, times, means, roi)
     rejected = tuple(
         i for i in range(len(frames)) if any(f.code in FATAL and f.where.split(",")[0] == f"capture {i}" for f in findings)
     )
@@ -207,29 +216,25 @@ def _greens(planes: dict[str, NDArray[np.uint16]], capture: Capture, where: str)
     return []
 
 
-def _series(frames: Sequence[Capture], roi: Roi | None) -> list[Finding]:
+def _copy(capture: Capture, previous: NDArray[np.uint16] | None, number: int) -> list[Finding]:
+    """The same frame twice in a row."""
+    if previous is None or not np.array_equal(capture.mosaic, previous):
+        return []
+    where = f"capture {number}, capture {number - 1}"
+    return [Finding("frames_identical", where, 0.0, 1.0, "the same frame twice carries no noise; drop one")]
+
+
+def _series(frames: Sequence[Capture], times: Sequence[float | None], means: Float, roi: Roi | None) -> list[Finding]:
+    """What frames say together: by exposure time, each time's held while it is looked at, and over the times."""
     out: list[Finding] = []
-    mosaics = [f.mosaic for f in frames]
-    for i in range(1, len(frames)):
-        if mosaics[i].shape == mosaics[i - 1].shape and np.array_equal(mosaics[i], mosaics[i - 1]):
-            out.append(
-                Finding(
-                    "frames_identical",
-                    f"capture {i}, capture {i - 1}",
-                    0.0,
-                    1.0,
-                    "the same frame twice carries no noise; drop one",
-                )
-            )
-    times: dict[float | None, list[int]] = {}
-    for i, frame in enumerate(frames):
-        times.setdefault(frame.exposure.time_s, []).append(i)
-    means = np.array([frame_mean(frame, roi) for frame in frames])
-    for time, index in times.items():
-        if len(index) > 1:
-            out += _same_exposure([frames[i] for i in index], means[index], time, roi)
-    known = [i for i, f in enumerate(frames) if f.exposure.time_s is not None]
-    out += _linearity(np.array([frames[i].exposure.time_s for i in known], dtype=float), means[known])
+    by_time: dict[float | None, list[int]] = {}
+    for i, time in enumerate(times):
+        by_time.setdefault(time, []).append(i)
+    for time, numbers in by_time.items():
+        if len(numbers) > 1:
+            out += _same_exposure([frames[i] for i in numbers], means[numbers], time, roi)
+    known = [i for i, time in enumerate(times) if time is not None]
+    out += _linearity(np.array([times[i] for i in known], dtype=float), means[known], float(means.min()))
     return out
 
 
@@ -269,8 +274,8 @@ def _limited(view: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return view[:LARGEST, :LARGEST]
 
 
-def _offset(times: Float, level: Float) -> list[Finding]:
-    """Black level from the two shortest lit exposures, extended to no light."""
+def _offset(times: Float, level: Float, lowest: float) -> list[Finding]:
+    """Black level from the two shortest lit exposures, extended to no light; or the light's start, if frames are at black."""
     lit = np.flatnonzero(level > 3.0)
     if lit.size < 3 or level[lit[0]] < 0.005 * level.max():
         return []
@@ -280,17 +285,20 @@ def _offset(times: Float, level: Float) -> list[Finding]:
     limit = max(1.0, 0.05 * level[b])
     if abs(offset) < limit or abs(third / level[lit[2]] - 1) > 0.03:
         return []
+    if abs(lowest) < AT_BLACK_DN:
+        start = float(times[a] - level[a] * (times[b] - times[a]) / (level[b] - level[a]))
+        return [Finding("exposure_offset", "means extended to no light, seconds", start, 0.0, OFFSET_ADVICE)]
     return [Finding("black_level_differs_from_tag", "means extended to no light", offset, 0.0, BLACK_ADVICE)]
 
 
-def _linearity(times: Float, means: Float) -> list[Finding]:
+def _linearity(times: Float, means: Float, lowest: float) -> list[Finding]:
     """Means in proportion to exposure time; a step in DN per second betrays gain that the file does not tell."""
     unique = np.unique(times)
     if unique.size < 3:
         return []
     level = np.array([np.median(means[times == t]) for t in unique])
     spread = max(np.ptp(means[times == t]) for t in unique)
-    out = _offset(unique, level)
+    out = _offset(unique, level, lowest)
     lit = level > max(0.02 * level.max(), 3.0)
     if lit.sum() < 3 or spread > 0.3 * level.max():
         return out
@@ -306,3 +314,40 @@ def _linearity(times: Float, means: Float) -> list[Finding]:
     return [
         Finding("not_linear_in_time", place, worst, 0.08, "a digital gain or a change of light is hidden between these exposures")
     ]
+
+
+def edge_width_px(view: NDArray[np.uint16], black_dn: float, noise_dn: float) -> float:
+    """Width of the sharpest edges of one colour plane, plane pixels; nan where there is no structure to tell from.
+
+    A tile of 48 x 48 pixels is structured if its values (means of 3 x 3, best plane removed) spread by more than .3 of
+    their mean and 12 sd of their noise; its width is the spread over the steepest slope across three pixels.  Of
+    the structured tiles the lower quartile is returned.  Smooth shading is a plane within a tile and does not count.
+    """
+    rows, cols = (n // TILE * TILE for n in view.shape)
+    if rows == 0 or cols == 0:
+        return math.nan
+    smooth = _means_of_nine(view[:rows, :cols].astype(np.float64) - black_dn)
+    tiles = smooth.reshape(rows // TILE, TILE, cols // TILE, TILE).swapaxes(1, 2).reshape(-1, TILE, TILE)
+    spread = np.ptp(np.percentile(tiles, [5, 95], axis=(1, 2)), axis=0)
+    bent = np.ptp(np.percentile(_without_slope(tiles), [5, 95], axis=(1, 2)), axis=0)
+    structured = (bent > LEAST_CONTRAST * np.maximum(tiles.mean(axis=(1, 2)), 0)) & (bent > 12 * noise_dn / 3)
+    if int(structured.sum()) < LEAST_TILES:
+        return math.nan
+    chosen = tiles[structured]
+    down = np.abs(chosen[:, 3:] - chosen[:, :-3]).max(axis=(1, 2))
+    across = np.abs(chosen[:, :, 3:] - chosen[:, :, :-3]).max(axis=(1, 2))
+    return float(np.percentile(spread[structured] / (np.maximum(down, across) / 3), 25))
+
+
+def _without_slope(tiles: NDArray[Any]) -> NDArray[Any]:
+    """Tiles less their best plane."""
+    x = np.arange(TILE) - (TILE - 1) / 2
+    down = tiles.mean(axis=2) @ x / (x @ x)
+    across = tiles.mean(axis=1) @ x / (x @ x)
+    return np.asarray(tiles - down[:, None, None] * x[:, None] - across[:, None, None] * x)
+
+
+def _means_of_nine(values: NDArray[Any]) -> NDArray[Any]:
+    padded = np.pad(values, 1, mode="edge")
+    lines = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray((lines[:, :-2] + lines[:, 1:-1] + lines[:, 2:]) / 9)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.measure.noise.moments import column_profile, leave_out
 
 Float = NDArray[np.float64]
@@ -27,7 +28,7 @@ WILD_SD = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class LineSums:
+class LineMoments:
     """Row means and temporal variance of a plane without per-pixel maps.
 
     ``row_means`` (frames, rows) in raw DN; ``variance_dn2`` as ``Moments.temporal``; ``spread_dn2`` is the spatial
@@ -93,14 +94,14 @@ class _Sums:
     peaks: Values
 
 
-def line_sums(
+def line_moments(
     frames: Sequence[Values],
     *,
     step: int = 1,
     black_dn: Mapping[Phase, float] | None = None,
     white_dn: float = np.inf,
     bad: NDArray[np.bool_] | None = None,
-) -> dict[Phase, LineSums]:
+) -> dict[Phase, LineMoments]:
     """Sums of two or more frames, by phase (row, col) of the mosaic.
 
     Parameters
@@ -122,6 +123,24 @@ def line_sums(
     planes = _planes(frames, step, black_dn or {}, white_dn)
     sums = _accumulate(frames, planes, parts)
     return {(p.row, p.col): _finish(frames, p, sums, parts, bad) for p in planes}
+
+
+def plane_line_moments(
+    captures: Sequence[Capture], roi: Roi | None, black_dn: Mapping[str, float] | None = None
+) -> dict[str, LineMoments]:
+    """Plane -> line moments of two or more captures of one set-up; ``black_dn`` by plane, else the captures' own."""
+    first = captures[0]
+    row0, row1, col0, col1 = check_roi(first, roi)
+    planes = planes_of(first)
+    places = {plane: plane_view(first, plane, roi)[1] for plane in planes}
+    phases = {plane: (row - row0, col - col0) for plane, (row, col) in places.items()}
+    found = line_moments(
+        [capture.mosaic[row0:row1, col0:col1] for capture in captures],
+        step=1 if len(planes) == 1 else 2,
+        black_dn={phases[plane]: (black_dn or {}).get(plane, plane_black_dn(first, plane)) for plane in planes},
+        white_dn=first.sensor.white_dn,
+    )
+    return {plane: found[phases[plane]] for plane in planes}
 
 
 def _planes(frames: Sequence[Values], step: int, black_dn: Mapping[Phase, float], white_dn: float) -> list[_Plane]:
@@ -202,7 +221,7 @@ def _finish(
     sums: _Sums,
     parts: Sequence[slice],
     bad: NDArray[np.bool_] | None,
-) -> LineSums:
+) -> LineMoments:
     """Variance of one plane from the raw sums; blocks with pixels that stand out are counted again."""
     count, cols = len(frames), plane.shape[1]
     means = plane.take(sums.rows) / cols
@@ -230,7 +249,9 @@ def _finish(
             taken += left_out
     dof = max((count - 1) * (plane.shape[0] * (cols - 1) - taken), 1)
     pixels_left = plane.shape[0] * cols - taken
-    return LineSums(means, float(square.sum()) / dof, plane.spread_dn2, pixels_left, cols, plane.clipped_high, plane.clipped_low)
+    return LineMoments(
+        means, float(square.sum()) / dof, plane.spread_dn2, pixels_left, cols, plane.clipped_high, plane.clipped_low
+    )
 
 
 def _carefully(values: Values, profile: Values, bad: NDArray[np.bool_] | None) -> tuple[float, Float, int]:
