@@ -94,7 +94,8 @@ def main(folder: Path) -> None:
             pictures.append((title, display(rgb, gains=gains[camera], white=top)))
             seconds = round(time.perf_counter() - start, 1)
             done[one.name] = {"window": one.window, "spp": one.target.spec["render"]["spp"], "seconds": seconds}
-    note = f"raw captures, one cell a pixel, balanced on the brightest grey; exposure {EXPOSURE_S} s, seed {SEED}"
+    note = f"simulated raw captures (rendered scene, model {model.name}), one cell a pixel, balanced on the brightest grey; "
+    note += f"exposure {EXPOSURE_S} s, seed {SEED}"
     folder.mkdir(parents=True, exist_ok=True)
     capture_sheet(pictures, note=note).savefig(folder / "cornell_box.png", dpi=110)
     cameras = {name: view["position_m"] for name, view in loaded.cameras.items()}

@@ -342,12 +342,19 @@ def figure(path: Path, seed: int) -> None:
     from isetval.app.plots.noise import transfer_figure
 
     rng = np.random.default_rng([seed, 500])
-    camera = Specimen(rng, (128, 128), bend=0.05)
+    bend = 0.05  # of the charge at 6000 e-
+    camera = Specimen(rng, (128, 128), bend=bend)
     captures = camera.frames(0.0, 2, time_s=1e-5)
     for electrons in LEVELS:
         captures += camera.frames(electrons, 2, time_s=electrons * 2e-5)
     result = photon_transfer(captures)
-    transfer_figure(result).savefig(path, dpi=110)
+    drawn = transfer_figure(result)
+    drawn.supxlabel(
+        f"simulated sensor, 128 x 128 pixels, 2 frames a level; K {GAIN} DN/e$^-$, PRNU {100 * PRNU:.2f} %, and a planted "
+        f"non-linearity: x (1 - {bend:g} x / 6000 e$^-$), which bends the last levels below the straight line",
+        fontsize=8,
+    )
+    drawn.savefig(path, dpi=110)
     print(emva1288(captures).to_frame().to_string(index=False))
 
 

@@ -243,7 +243,16 @@ def main() -> None:
         exposed_spectra = spectra * (800 / plain)[:, None, None]
         names = {"lights": LIGHTS, "patches": PATCHES}
         result = spectral_qe(measured, exposed_spectra, qe=qe, wavelength_nm=nm, sigma=sigma, **names)
-        qe_figure(result, nm, measured, predicted).savefig(args.figure)
+        figure = qe_figure(result, nm, measured, predicted)
+        for axis in figure.axes[:2]:
+            axis.set_ylabel("simulated with the planted M (DN)")
+        spectra_used = "published radiances and nominal QE" if source else "made-up spectra"
+        figure.supxlabel(
+            f"simulated patch means: {spectra_used} times the paper's M, "
+            f"with shot and read noise of {PIXELS} pixels; no measurement",
+            fontsize=8,
+        )
+        figure.savefig(args.figure)
 
 
 if __name__ == "__main__":

@@ -164,6 +164,7 @@ def main() -> None:
         {n: [r[f"{n}_pass"] for r in flat_rows] for n in names},
         {n: [r[f"{n}_bias_percent"] / 100 for r in flat_rows] for n in names},
     )
+    figure.supxlabel("simulated patches with a known standard deviation (analyses/uniform_patch_bias.py)", fontsize=8)
     figure.savefig(out / "uniform_patch_bias.png", dpi=110)
 
 

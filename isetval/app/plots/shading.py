@@ -39,11 +39,18 @@ def falloff_figure(result: Any, *, predictions: Mapping[str, tuple[Any, Any]] | 
 
 def _curves(axis: Axes, result: Any, predictions: Mapping[str, tuple[Any, Any]]) -> None:
     for name, plane in result.planes.items():
-        axis.plot(plane.radius_mm, plane.curve, color=COLORS.get(name), label=name, lw=1)
+        inside = _inside(plane)
+        axis.plot(plane.radius_mm[inside], plane.curve[inside], color=COLORS.get(name), label=name, lw=1)
+        axis.plot(plane.radius_mm[~inside], plane.curve[~inside], ":", color=COLORS.get(name), lw=1)
         axis.errorbar(plane.ring_radius_mm, plane.ring, plane.ring_sigma, fmt=".", ms=3, color=COLORS.get(name))
     for label, (radius, value) in predictions.items():
         axis.plot(radius, value, "k--", lw=1, label=label)
     _finish(axis, "relative illumination")
+
+
+def _inside(plane: Any) -> Any:
+    """Where a curve stands on rings, (n,) bool; further out it is extrapolated."""
+    return plane.radius_mm <= plane.ring_radius_mm[-1]
 
 
 def _differences(axis: Axes, result: Any, predictions: Mapping[str, tuple[Any, Any]]) -> None:
@@ -55,11 +62,12 @@ def _differences(axis: Axes, result: Any, predictions: Mapping[str, tuple[Any, A
             axis.errorbar(rings, 100 * (plane.ring - plane.at(rings)[0]), 100 * plane.ring_sigma, fmt=".", ms=3, color=color)
             continue
         radius, value = next(iter(predictions.values()))
-        difference = 100 * (plane.curve - np.interp(plane.radius_mm, radius, value))
-        axis.plot(plane.radius_mm, difference, color=color, label=name)
-        axis.fill_between(
-            plane.radius_mm, difference - 100 * plane.sigma, difference + 100 * plane.sigma, color=color, alpha=0.2, lw=0
-        )
+        inside = _inside(plane)
+        place, sigma = plane.radius_mm[inside], 100 * plane.sigma[inside]
+        # beyond the prediction's own end there is nothing to compare with
+        difference = 100 * (plane.curve[inside] - np.interp(place, radius, value, right=np.nan))
+        axis.plot(place, difference, color=color, label=name)
+        axis.fill_between(place, difference - sigma, difference + sigma, color=color, alpha=0.2, lw=0)
     axis.axhline(0, color="gray", lw=0.8)
     _finish(axis, f"minus {next(iter(predictions))} (points)" if predictions else "rings minus curve (points)")
 

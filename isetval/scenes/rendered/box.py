@@ -1,8 +1,9 @@
 """The spectral Cornell box as a plain dictionary made from named parameters.
 
 The paper's geometry file is not part of this project.  The default size (a cube of 0.30 m, open to the
-front) is the project's own choice; it agrees with what the paper states: the camera 0.385 to 0.405 m
-before the middle of the box, edges at 0.3 m and 0.5 m, the chart on the rear wall near 0.55 m.  All is
+front) is the project's own choice; it agrees with edges at 0.3 m and 0.5 m, as the paper states, with the camera
+0.385 to 0.405 m before the middle of the box, as its public scripts (isetcornellbox) have it, and with the chart
+on the rear wall near 0.55 m.  All is
 Lambertian, with no specular lobe, so that no surface reflects more than it receives.
 
 World axes: origin in the middle of the box, x to the right, y up, z towards the camera (right-handed; the
@@ -24,6 +25,7 @@ from isetval.scenes.rendered import own_spectra
 from isetval.scenes.rendered.placing import Float, Shape, block, edge_target, patch_grid, rectangle, rotate, scale, translate
 from isetval.scenes.rendered.spectra import radiance_dict, raised, reflectance_dict, scaled
 
+# 4.38 mm is what the phone writes into its files (Exif FocalLength); pixels and pitch: the paper's sensor table
 PIXEL_4A = {"focal_mm": 4.38, "pixel_um": 1.4, "rows": 3024, "cols": 4032}
 
 
@@ -112,7 +114,7 @@ PAPER_EDGES = (Edge((0.030, 0.000, -0.10), (0.05, 0.05)), Edge((-0.030, 0.045, 0
 def wall_camera(z_m: float = 0.40, *, x_m: float = 0.0, y_m: float = 0.0, **lens: Any) -> dict[str, Any]:
     """A camera before the open front, looking along -z; ``lens`` replaces the Pixel 4a's numbers.
 
-    The paper's two positions are z 0.385 and 0.405 m.  The position is that of the entrance pupil.
+    The positions in the paper's public scripts are z 0.385 and 0.405 m.  The position is that of the entrance pupil.
     """
     return {
         "position_m": [x_m, y_m, z_m],
