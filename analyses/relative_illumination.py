@@ -23,7 +23,7 @@ import numpy as np
 from isetval import Capture
 from isetval.measure import relative_illumination
 from isetval.measure.shading import compare_with_prediction, separate_rotated
-from isetval.measure.shading.prediction import compare_curves
+from isetval.measure.shading.comparisons import compare_curves
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "pixel4a"
 PIXEL_MM = 1.4e-3

@@ -1,4 +1,11 @@
-"""Full-frame flats: relative illumination per colour plane."""
+"""Full-frame flats: relative illumination per colour plane.
+
+Only frames that cover a quarter of the sensor give these rows.  Crops at many field places of one set-up do not: one shot
+is one place, and each enters `compare` through the mean of its flat (`flat_fields`), where the light level, a nuisance
+with a prior per set-up, is common to all places: what is compared of them is their ratios, which is the relative
+illumination without its curve.  Places that are set-ups of their own get a level of their own, and their ratios tell no
+more than its prior allows.  The curve of such a set-up is a summary (`isetval.measure.summaries`), for people.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +13,25 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, planes_of
 from isetval.core.metric import Block, Metric
-from isetval.measure.analyses.edges import block_diagonal
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.shading import relative_illumination
 
 ROLES = ("flat",)
-LEAST_SHARE = 0.25
+LEAST_SHARE = 0.25  # of the sensor: a smaller frame, were it in the middle, would not reach half of the corner's radius
+# of the farthest radius: not the centre, where the curve is 1, nor the corner, where four blocks hold it
 PLACES = np.linspace(0.15, 0.9, 6)
+LEAST_SIGMA = 1e-7  # of noise-free simulations, far below what rounding to whole DN leaves
 
 
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
-    """Fall-off at six radii of each plane, for frames that cover at least a quarter of the sensor; else no rows.
+    """Relative illumination at six radii of each plane, for frames that cover a quarter of the sensor; else no rows.
 
-    Rows hold the value at the fitted centre's radius, 1 at the centre; the order of the curve is a choice.
+    Radii are about the fitted centre, where the value is 1; the order of the curve is a choice.
     """
     sensor = captures[0].sensor
     if captures[0].mosaic.size < LEAST_SHARE * sensor.rows * sensor.cols:
@@ -35,9 +44,9 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         curve = result[plane]
         radius = PLACES * float(curve.radius_mm[-1])
         value, sigma = curve.at(radius)
-        sigma = np.maximum(sigma, 1e-7)
+        sigma = np.maximum(sigma, LEAST_SIGMA)
         blocks.append(curve.curve_covariance(radius) / np.outer(sigma, sigma))
         np.fill_diagonal(blocks[-1], 1.0)
         for r, v, s in zip(radius, value, sigma, strict=True):
             rows.append(metric(conditions, "relative_illumination", v, s, "1", channel=plane, region=f"r {r:.3f} mm"))
-    return Block(tuple(rows), block_diagonal(blocks), choices=dict(result.choices))
+    return Block(tuple(rows), block_diag(*blocks), choices=dict(result.choices))

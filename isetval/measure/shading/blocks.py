@@ -8,8 +8,7 @@ row and a column part where the row or column means scatter more than the pixels
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,10 @@ Float = NDArray[np.float64]
 Int = NDArray[np.intp]
 Bool = NDArray[np.bool_]
 
-OUTLIER_SIGMAS = 6.0
-QUANTIZATION_VARIANCE = 1 / 12
+OUTLIER_SIGMAS = 6.0  # one good pixel in 5e8 lies beyond
+QUANTIZATION_VARIANCE = 1 / 12  # of rounding to whole DN
+MOST_BAD = 0.05  # of a block's pixels: with more, what is left may lie under dust as well
+LEAST_LINES = 16  # fewer row or column means do not fix a variance to a factor 2
 # relative variance of the neighbour-difference variance (lag 1, overlapping pairs) is 3 / pixels
 DIFFERENCE_VARIANCE_FACTOR = 3.0
 
@@ -112,7 +113,7 @@ def _without_gradient(squares: Float, columns: Float, edges: Int, rows: int) -> 
     return np.asarray(np.maximum(mean_square - slope**2, 0) / (2 * kept))
 
 
-def _pooled_variance(signal: Float, variance: Float, pixels: Float, floor: float, *, cut: float = 4.0) -> Float:
+def smooth_variance(signal: Float, variance: Float, pixels: Float, floor: float, *, cut: float = 4.0) -> Float:
     """Smooth variance at every block's signal, from all blocks, those beyond ``cut`` sigma left out."""
     degree = 2 if signal.size > 200 else 1 if signal.size > 12 else 0
     scale = max(float(np.abs(signal).max()), 1e-9)
@@ -139,7 +140,7 @@ def _line_variance(means: Float, pixel_variance: float, pixels: int, *, robust: 
 
     ``robust`` takes the lower quartile of the second differences: right with defects in most rows, less precise.
     """
-    if means.size < 16:
+    if means.size < LEAST_LINES:
         return 0.0
     second = np.abs(means[2:] - 2 * means[1:-1] + means[:-2])
     if robust:
@@ -169,7 +170,7 @@ def _remeasure(
     white = frame.sensor.white_dn
     clipped = bool(middle + OUTLIER_SIGMAS * spread >= white and (raw >= white).any())
     bad = int(good.size - good.sum())
-    if bad > 0.05 * good.size:
+    if bad > MOST_BAD * good.size:
         return float("nan"), bad, clipped
     return float(values[good].mean()), bad, clipped
 
@@ -250,7 +251,7 @@ def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, 
     pixels = np.outer(heights, widths).astype(float)
     signal = sums.total[phase[0], :, :, phase[1]] / pixels - black
     variance = sums.square[phase[0], :, :, phase[1]]
-    pooled = _pooled_variance(signal.ravel(), variance.ravel(), pixels.ravel(), QUANTIZATION_VARIANCE).reshape(signal.shape)
+    pooled = smooth_variance(signal.ravel(), variance.ravel(), pixels.ravel(), QUANTIZATION_VARIANCE).reshape(signal.shape)
     limit = pooled * (1 + OUTLIER_SIGMAS * np.sqrt(DIFFERENCE_VARIANCE_FACTOR / np.maximum(pixels, 4)))
     suspicious = (sums.highest[phase[0], :, :, phase[1]] >= frame.sensor.white_dn) | (variance > limit)
     used, clipped, bad_pixels = _repair(
@@ -279,55 +280,4 @@ def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, 
         column_noise_dn=float(np.sqrt(col_part)),
         lines_px=(float(heights.mean()), float(widths.mean())),
         grid=(len(heights), len(widths)),
-    )
-
-
-def average_blocks(frames: Sequence[Blocks]) -> Blocks:
-    """Mean of several frames of one window.
-
-    The fixed part of a block's variance stays, the temporal part, seen in the scatter of the block means between frames
-    scaled to one level, falls with their number.
-    """
-    count = len(frames)
-    if count == 1:
-        return frames[0]
-    used = np.all([f.used for f in frames], axis=0)
-    signals = np.stack([np.where(used, f.signal_dn, 1.0) for f in frames])
-    mean = signals.mean(axis=0)
-    level = signals[:, used].sum(axis=1)
-    scatter = (signals * (level.mean() / level)[:, None]).var(axis=0, ddof=1)
-    single = np.mean([f.sigma_dn**2 for f in frames], axis=0)
-    temporal = np.zeros_like(single)
-    dof = np.full(int(used.sum()), 1.5 * (count - 1))
-    temporal[used] = _pooled_variance(mean[used], scatter[used], dof, 1e-12, cut=12.0)
-    temporal = np.minimum(temporal, single)
-    return replace(
-        frames[0],
-        signal_dn=np.where(used, mean, np.nan),
-        sigma_dn=np.sqrt(single - temporal * (1 - 1 / count)),
-        used=used,
-        clipped_blocks=max(f.clipped_blocks for f in frames),
-        bad_pixels=max(f.bad_pixels for f in frames),
-        row_noise_dn=float(np.mean([f.row_noise_dn for f in frames])),
-        column_noise_dn=float(np.mean([f.column_noise_dn for f in frames])),
-    )
-
-
-def join_blocks(parts: Sequence[Blocks], factors: Sequence[float]) -> Blocks:
-    """Blocks of several windows as one table, each window's signal multiplied by its factor."""
-    if len(parts) == 1 and factors[0] == 1.0:
-        return parts[0]
-    names = ("row_px", "col_px", "spread_row_px2", "spread_col_px2", "used")
-    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
-    return Blocks(
-        plane=parts[0].plane,
-        signal_dn=np.concatenate([p.signal_dn * f for p, f in zip(parts, factors, strict=True)]),
-        sigma_dn=np.concatenate([p.sigma_dn * f for p, f in zip(parts, factors, strict=True)]),
-        clipped_blocks=sum(p.clipped_blocks for p in parts),
-        bad_pixels=sum(p.bad_pixels for p in parts),
-        row_noise_dn=max(p.row_noise_dn for p in parts),
-        column_noise_dn=max(p.column_noise_dn for p in parts),
-        lines_px=parts[0].lines_px,
-        grid=parts[0].grid if len(parts) == 1 else None,
-        **joined,
     )

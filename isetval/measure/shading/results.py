@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
-from isetval.measure.shading.radial import Radial
+from isetval.measure.shading.radial_basis import Radial
 
 Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class FalloffPlane:
+class PlaneIllumination:
     """Fall-off of one colour plane.
 
     Parameters
@@ -74,6 +74,10 @@ class FalloffPlane:
     bad_pixels: int = 0
     dropped_blocks: int = 0
 
+    def __repr__(self) -> str:
+        edge = f"{self.curve[-1]:.4f} +- {self.sigma[-1]:.4f} at {self.radius_mm[-1]:.3f} mm"
+        return f"PlaneIllumination({self.plane}: {edge}, {self.signal_dn:.1f} DN at the centre, chi2/dof {self.chi2_dof:.3f})"
+
     def at(self, radius_mm: ArrayLike) -> tuple[Float, Float]:
         """Relative illumination and its sigma at any radius in mm inside the measured range."""
         radius = np.atleast_1d(np.asarray(radius_mm, dtype=float))
@@ -130,7 +134,7 @@ class RelativeIllumination:
     ``decenter_px`` is the centre minus the sensor's middle.  ``warnings`` say what is doubtful.
     """
 
-    planes: Mapping[str, FalloffPlane]
+    planes: Mapping[str, PlaneIllumination]
     color_shading: Mapping[str, ColorShading]
     center_px: tuple[float, float]
     center_sigma_px: tuple[float, float]
@@ -150,7 +154,17 @@ class RelativeIllumination:
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    def __getitem__(self, plane: str) -> FalloffPlane:
+    def __repr__(self) -> str:
+        some = next(iter(self.planes.values()))
+        edges = ", ".join(f"{p} {v.curve[-1]:.4f}" for p, v in self.planes.items())
+        doubts = f", {len(self.warnings)} warnings" if self.warnings else ""
+        return (
+            f"RelativeIllumination({edges} at {some.radius_mm[-1]:.3f} mm, centre (row, col) "
+            f"{self.center_px[0]:.1f}, {self.center_px[1]:.1f} px, {self.basis} of order {self.order}, "
+            f"chi2/dof {self.chi2_dof:.3f}{doubts})"
+        )
+
+    def __getitem__(self, plane: str) -> PlaneIllumination:
         if plane == "G" and "Gr" in self.planes:
             return self.planes["Gr"]
         if plane not in self.planes:

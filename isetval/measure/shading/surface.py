@@ -1,28 +1,30 @@
-"""The fall-off model and its fit: even curve about a fitted centre, times a tilt.
+"""The model of relative illumination and its fit: an even curve about a fitted centre, times a tilt.
 
 Signal of a plane at (x, y) mm from the sensor's middle::
 
     S = T(x, y) * sum_k c_k B_k(r^2),   r^2 = (x - xc)^2 + (y - yc)^2
     T = 1 + tx (x - xc) + ty (y - yc)
 
-with the even functions B_k of radial.py.  Centre and tilt are shared by the planes; the polynomials'
+with the even functions B_k of `isetval.measure.shading.radial_basis`.  Centre and tilt are shared by the planes; the polynomials'
 coefficients are each plane's own, the splines' are shared (the first plane has splines only, so that
-nothing is counted twice).
+nothing is counted twice).  Rows and columns of blocks that err together are added to the covariance at the end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.measure.shading.radial import Radial
+from isetval.measure.shading.radial_basis import Radial
 
 Float = NDArray[np.float64]
 Int = NDArray[np.intp]
-END_SIGMA = 3e-3
+END_SIGMA = 3e-3  # of the last spline's third difference: cos^4 over a phone's field gives 2e-3 with the widest splines
+CURVATURE_STEP = 0.02  # of the radius: curvature of an even polynomial to 1e-3, far above rounding
+LEAST_DETERMINED = 1e-14  # of the largest column of the normal equations: rounding of double precision
 GEOMETRIES = {"center+tilt": (0, 1, 2, 3), "center": (0, 1), "tilt": (2, 3), "none": ()}
 
 
@@ -76,7 +78,7 @@ def evaluate(points: Points, geometry: Float, coefficients: Float, radial: Radia
 
 def block_bias(points: Points, geometry: Float, coefficients: Float, radial: Radial) -> Float:
     """Mean of the model over each block minus its value at the middle: half the curvature times the spread."""
-    step = 0.02 * radial.radius_mm
+    step = CURVATURE_STEP * radial.radius_mm
     middle = evaluate(points, geometry, coefficients, radial)
     out = np.zeros_like(middle)
     for (sx, sy), spread in (((step, 0.0), points.spread_x_mm2), ((0.0, step), points.spread_y_mm2)):
@@ -120,7 +122,7 @@ def parameter_places(planes: int, radial: Radial) -> tuple[tuple[Int, ...], int]
 def _solve(normal: Float, right: Float) -> tuple[Float, Float]:
     """Solution and covariance of the normal equations, columns scaled; unseen directions get the least norm."""
     diagonal = np.diag(normal)
-    scale = np.where(diagonal > 1e-14 * diagonal.max(), 1 / np.sqrt(np.maximum(diagonal, 1e-300)), 0)
+    scale = np.where(diagonal > LEAST_DETERMINED * diagonal.max(), 1 / np.sqrt(np.maximum(diagonal, 1e-300)), 0)
     scaled = normal * np.outer(scale, scale)
     try:
         inverse = np.linalg.inv(scaled) if scale.all() and np.linalg.cond(scaled) < 1e11 else None
@@ -199,3 +201,56 @@ def fit_surface(
     )
     places, _ = parameter_places(len(planes), radial)
     return Surface(place, tuple(parts), covariance, places, radial, free, chi2, converged)
+
+
+@dataclass(frozen=True, eq=False)
+class LineNoise:
+    """Common error of the blocks of a line: line of each block and its standard deviation, in the fit's units."""
+
+    line: Float
+    sigma: float
+
+
+def with_line_noise(surface: Surface, planes: Sequence[Points], noise: Sequence[Sequence[LineNoise]]) -> Surface:
+    """The surface with the covariance that row and column noise add.
+
+    Parameters
+    ----------
+    surface : Surface
+        A fit whose weights already hold the line noise of single blocks.
+    planes : sequence of Points
+    noise : sequence of sequence of LineNoise
+        For each plane its rows and its columns; planes with blocks on one line share its error.
+
+    Notes
+    -----
+    With C the covariance, J the weighted design and e_l the error of line l, the added covariance is
+    C sum_l (sum_b J_b e_l)(sum_b J_b e_l)' C, less the part of single blocks, which is in C.
+    """
+    size = surface.covariance.shape[0]
+    added = np.zeros((size, size))
+    for kind in range(len(noise[0])):
+        keys = np.unique(np.concatenate([part[kind].line for part in noise]))
+        pulls = np.zeros((keys.size, size))
+        for k, points in enumerate(planes):
+            part = noise[k][kind]
+            if part.sigma <= 0:
+                continue
+            single = _influence(surface, points, k) * (part.sigma / points.sigma)[:, None]
+            pulls += (keys[:, None] == part.line[None, :]).astype(float) @ single
+            added -= single.T @ single
+        added += pulls.T @ pulls
+    extra = surface.covariance @ added @ surface.covariance
+    return replace(surface, covariance=surface.covariance + (extra + extra.T) / 2)
+
+
+def _influence(surface: Surface, points: Points, plane: int) -> Float:
+    """Weighted design in the numbering of all parameters, (points, parameters)."""
+    matrix = design(points, surface.geometry, surface.coefficients[plane], surface.radial).T
+    size = surface.covariance.shape[0]
+    out = np.zeros((points.value.size, size))
+    used = np.flatnonzero(surface.places[plane] >= 0)
+    out[:, surface.places[plane][used]] = matrix[:, used]
+    for j in surface.free:
+        out[:, size - 4 + j] = matrix[:, surface.radial.count + j]
+    return out

@@ -33,7 +33,7 @@ def canon_chart(corners_px=None) -> dict:
 
 def phone_falloff() -> dict:
     """Digitised measured fall-off over the design's."""
-    from isetval.measure.shading.prediction import compare_curves
+    from isetval.measure.shading.comparisons import compare_curves
 
     table = np.genfromtxt(PHONE / "measured" / "relative_illumination.csv", delimiter=",", names=True)
     there = np.isfinite(table["ri_measured"]) & np.isfinite(table["ri_zemax"])

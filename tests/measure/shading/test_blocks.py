@@ -5,7 +5,7 @@ import pytest
 
 from isetval.core.capture import Capture
 from isetval.measure.shading.blocks import measure_blocks
-from isetval.measure.shading.radial import Radial
+from isetval.measure.shading.radial_basis import Radial
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,24 @@
-"""From captures to block means: one pass, one frame in memory, the usable level of every window."""
+"""From flats to block means: one pass, one frame in memory; the usable level of every window, its frames averaged."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from isetval.core.capture import Capture, Roi, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.sensor import Sensor
-from isetval.measure.shading.blocks import Blocks, average_blocks, join_blocks, measure_blocks
+from isetval.measure.shading.blocks import DIFFERENCE_VARIANCE_FACTOR, Blocks, measure_blocks, smooth_variance
 
-BLOCK_PX = 24
-LEAST_SIGNAL = 100
-SAME_LEVEL = 0.05
-FEW_CLIPPED = 0.02
+BLOCK_PX = 24  # 63 x 84 blocks of a 12 MP frame: curvature inside one, which the fit corrects, is 1e-4 under cos^4
+WHOLE_SHARE = 0.4  # of the sensor: a capture larger than this is a frame, a smaller one a window among others
+LEAST_SIGNAL = 100  # times what all blocks know of the median level: a curve to 1 % at best
+SAME_LEVEL = 0.05  # frames this much darker than the window's brightest are of another level, not its flicker
+FEW_CLIPPED = 0.02  # of a frame's blocks, hot pixels and glints; more is an exposure too bright
+# the relative variance of a variance over frames is 2 / (frames - 1): in the form that smooth_variance takes
+SCATTER_PIXELS = DIFFERENCE_VARIANCE_FACTOR / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ def _block_size(capture: Capture) -> int:
     """About 48 blocks along the short side of a whole frame, two along that of a window."""
     step = 1 if capture.sensor.cfa == "MONO" else 2
     shortest = min(capture.mosaic.shape) // step
-    whole = capture.mosaic.size >= 0.4 * capture.sensor.rows * capture.sensor.cols
+    whole = capture.mosaic.size >= WHOLE_SHARE * capture.sensor.rows * capture.sensor.cols
     return int(np.clip(shortest // 48, 4, BLOCK_PX) if whole else np.clip(-(-shortest // 2), 2, BLOCK_PX))
 
 
@@ -154,3 +157,54 @@ def _check_signal(blocks: Mapping[str, Blocks]) -> None:
                 f"plane {plane}: the median signal above black is {signal:.2f} DN, known to {overall:.3f} DN from all blocks; "
                 f"a fall-off needs at least {LEAST_SIGNAL} times that: expose longer, average frames or check the black level"
             )
+
+
+def average_blocks(frames: Sequence[Blocks]) -> Blocks:
+    """Mean of several frames of one window.
+
+    The fixed part of a block's variance stays, the temporal part, seen in the scatter of the block means between frames
+    scaled to one level, falls with their number.
+    """
+    count = len(frames)
+    if count == 1:
+        return frames[0]
+    used = np.all([f.used for f in frames], axis=0)
+    signals = np.stack([np.where(used, f.signal_dn, 1.0) for f in frames])
+    mean = signals.mean(axis=0)
+    level = signals[:, used].sum(axis=1)
+    scatter = (signals * (level.mean() / level)[:, None]).var(axis=0, ddof=1)
+    single = np.mean([f.sigma_dn**2 for f in frames], axis=0)
+    temporal = np.zeros_like(single)
+    dof = np.full(int(used.sum()), SCATTER_PIXELS * (count - 1))
+    temporal[used] = smooth_variance(mean[used], scatter[used], dof, 1e-12, cut=12.0)
+    temporal = np.minimum(temporal, single)
+    return replace(
+        frames[0],
+        signal_dn=np.where(used, mean, np.nan),
+        sigma_dn=np.sqrt(single - temporal * (1 - 1 / count)),
+        used=used,
+        clipped_blocks=max(f.clipped_blocks for f in frames),
+        bad_pixels=max(f.bad_pixels for f in frames),
+        row_noise_dn=float(np.mean([f.row_noise_dn for f in frames])),
+        column_noise_dn=float(np.mean([f.column_noise_dn for f in frames])),
+    )
+
+
+def join_blocks(parts: Sequence[Blocks], factors: Sequence[float]) -> Blocks:
+    """Blocks of several windows as one table, each window's signal multiplied by its factor."""
+    if len(parts) == 1 and factors[0] == 1.0:
+        return parts[0]
+    names = ("row_px", "col_px", "spread_row_px2", "spread_col_px2", "used")
+    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+    return Blocks(
+        plane=parts[0].plane,
+        signal_dn=np.concatenate([p.signal_dn * f for p, f in zip(parts, factors, strict=True)]),
+        sigma_dn=np.concatenate([p.sigma_dn * f for p, f in zip(parts, factors, strict=True)]),
+        clipped_blocks=sum(p.clipped_blocks for p in parts),
+        bad_pixels=sum(p.bad_pixels for p in parts),
+        row_noise_dn=max(p.row_noise_dn for p in parts),
+        column_noise_dn=max(p.column_noise_dn for p in parts),
+        lines_px=parts[0].lines_px,
+        grid=parts[0].grid if len(parts) == 1 else None,
+        **joined,
+    )

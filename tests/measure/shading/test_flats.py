@@ -86,3 +86,10 @@ def test_noise_free_capture_is_measured_to_rounding():
     result = relative_illumination(Capture.from_array(dn, pixel_um=flat.pixel_um, white_dn=65535))
     assert result.decenter_px == pytest.approx((3.0, 4.0), abs=0.01)
     assert np.abs(result["Gr"].curve - cos4(result["Gr"].radius_mm))[:58].max() < 1e-4
+
+
+def test_a_result_is_shown_in_a_line():
+    result = relative_illumination(Flat(rows=256, cols=320).capture(np.random.default_rng(313)))
+    assert len(repr(result)) < 300
+    assert repr(result).startswith("RelativeIllumination(R ")
+    assert len(repr(result["Gr"])) < 200

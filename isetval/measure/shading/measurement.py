@@ -1,28 +1,118 @@
-"""From the fitted surface to the result: curves, centres, colour ratios, maps, warnings."""
+"""Relative illumination of flat captures, full frames or many small windows of one sensor: the call, and its result."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincc
 
+from isetval.core.capture import Capture, Roi
+from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor
 from isetval.measure.shading.blocks import Blocks
-from isetval.measure.shading.gainmaps import gain_map_report
-from isetval.measure.shading.parity import odd_even
-from isetval.measure.shading.results import ColorShading, FalloffPlane, RelativeIllumination, curve_gradient
-from isetval.measure.shading.surface import Points, Surface, evaluate
-
-if TYPE_CHECKING:
-    from isetval.measure.shading.falloff import Fitted
+from isetval.measure.shading.derived import color_shading, gain_map_report, odd_even, own_surface
+from isetval.measure.shading.flats import collect_blocks
+from isetval.measure.shading.results import PlaneIllumination, RelativeIllumination, curve_gradient
+from isetval.measure.shading.surface import GEOMETRIES, Points, Surface, evaluate
+from isetval.measure.shading.surface_choice import Fitted, fit_blocks
 
 Float = NDArray[np.float64]
-CHI2_DOF_LIMIT = 1.1
-SAME_CENTER_P = 1e-4
-RATIOS = (("R/G", "R", "G"), ("B/G", "B", "G"), ("Gr/Gb", "Gr", "Gb"))
+CHI2_DOF_LIMIT = 1.1  # 5 % more scatter than the noise explains; ours
+SAME_CENTER_P = 1e-4  # chance that noise alone parts the planes' centres so far: one flat in 10 000 is read plane by plane
+CURVE_POINTS = 61  # radii of the curve, 60 equal steps
+RINGS = 30  # of the ring means that are shown beside the curve
+HIGHEST_WISH = 60  # of an order that may be asked for: one interval a block between centre and corner of a frame
+
+
+def relative_illumination(
+    captures: Capture | Sequence[Capture],
+    *,
+    roi: Roi | None = None,
+    dark: Capture | Sequence[Capture] | None = None,
+    radius_mm: ArrayLike | None = None,
+    geometry: str | None = None,
+    order: int | None = None,
+    basis: str | None = None,
+    block_px: int | None = None,
+    black_sigma_dn: float = 0.0,
+    gain_maps: Mapping[str, ArrayLike] | None = None,
+    choices: Mapping[str, Any] | None = None,
+) -> RelativeIllumination:
+    """Relative illumination per colour plane with centre, tilt, colour shading and 2-D map.
+
+    Parameters
+    ----------
+    captures : Capture or sequence of Capture
+        Flat-field captures of one sensor: full frames (same window: averaged) or windows anywhere on it.
+        Gone through once, one in memory at a time.  Of several levels of one window the brightest unclipped is used;
+        windows share one light level, and where their exposure times differ the signal is divided by time.
+    roi : (row0, row1, col0, col1), optional
+        Part of each capture, half open, in pixels of the capture.
+    dark : Capture or sequence of Capture, optional
+        Dark frames of the same mode; their plane means replace the sensor's black level.
+    radius_mm : array, optional
+        Radii of the curve; by default 61 steps from the centre to the farthest measured pixel.
+    geometry : str, optional
+        ``center+tilt`` (default where the data allow it), ``center``, ``tilt`` or ``none``.
+    order : int, optional
+        Highest power of r^2 (or intervals of the spline); by default chosen by chi2.
+    basis : str, optional
+        ``polynomial`` in r^2 or ``spline`` in r; by default the polynomial unless chi2 asks for finer structure.
+    block_px : int, optional
+        Side of a block in pixels of a plane (default 24, fewer in small windows).
+    black_sigma_dn : float
+        Standard deviation of the black level in DN, added to the curve's sigma.
+    gain_maps : mapping of plane to 2-D gains, optional
+        A file's shading maps spanning the frame; reported against the fall-off, never applied.
+    choices : mapping, optional
+        ``result.choices`` of an earlier call (order, geometry, block_px), to measure in the same way.
+
+    Returns
+    -------
+    RelativeIllumination
+
+    Raises
+    ------
+    MeasurementError
+        When the captures are dark, clipped or too few for any curve.
+    InputError
+        When the captures are of different sensors or an option is unknown.
+
+    Notes
+    -----
+    The curve is an even polynomial in r about the fitted centre, normalised at that centre (never at the
+    maximum), times a tilt.  One capture cannot tell a tilt of the light from one of the camera: see
+    ``separate_rotated``.  Veiling glare and a light of uneven even shape bias the curve and leave no mark in chi2.
+    """
+    told = dict(choices or {})
+    geometry, basis = geometry or told.get("geometry"), basis or told.get("basis")
+    order = order if order is not None else told.get("order")
+    _check_options(geometry, basis, order)
+    blocks, sensor, size, notes = collect_blocks(captures, roi=roi, dark=dark, block_px=block_px or told.get("block_px"))
+    fitted = fit_blocks(blocks, sensor, geometry=geometry, basis=basis, order=order)
+    return build_result(
+        fitted,
+        sensor,
+        radius_mm=None if radius_mm is None else np.asarray(radius_mm, dtype=float),
+        black_sigma_dn=black_sigma_dn,
+        gain_maps=gain_maps,
+        choices=fitted.choices | {"block_px": size},
+        notes=notes,
+        settings={"roi": roi, "dark": dark is not None, "black_sigma_dn": black_sigma_dn},
+    )
+
+
+def _check_options(geometry: str | None, basis: str | None, order: int | None) -> None:
+    if geometry is not None and geometry not in GEOMETRIES:
+        raise InputError(f"geometry is {geometry!r}; it needs one of {', '.join(GEOMETRIES)}")
+    if basis not in (None, "polynomial", "spline"):
+        raise InputError(f"basis is {basis!r}; it needs polynomial or spline")
+    if order is not None and not 0 <= order <= HIGHEST_WISH:
+        raise InputError(f"order is {order}; it needs 0 to {HIGHEST_WISH}")
 
 
 def build_result(
@@ -40,7 +130,7 @@ def build_result(
     names = list(fitted.blocks)
     probability = _same_center_p(fitted, names)
     shared = probability >= SAME_CENTER_P
-    radius = np.linspace(0, fitted.reach_mm, 61) if radius_mm is None else radius_mm
+    radius = np.linspace(0, fitted.reach_mm, CURVE_POINTS) if radius_mm is None else radius_mm
     dof = sum(int(fitted.keep[p].sum()) for p in names) - len(fitted.surface.covariance) + 4 - len(fitted.surface.free)
     chi2 = float(sum(fitted.surface.chi2)) if shared else float(sum(fitted.single[p].chi2[0] for p in names))
     inflation = float(np.sqrt(max(1.0, chi2 / max(dof, 1))))
@@ -53,7 +143,7 @@ def build_result(
     middle = ((sensor.rows - 1) / 2, (sensor.cols - 1) / 2)
     return RelativeIllumination(
         planes=planes,
-        color_shading=_color_shading(fitted, names, radius, shared=shared, inflation=inflation),
+        color_shading=color_shading(fitted, names, radius, shared=shared, inflation=inflation),
         center_px=center,
         center_sigma_px=center_sigma,
         decenter_px=(center[0] - middle[0], center[1] - middle[1]),
@@ -90,25 +180,16 @@ def _same_center_p(fitted: Fitted, names: Sequence[str]) -> float:
     free = len(fitted.surface.free)
     if len(names) < 2 or not free:
         return 1.0
-    from scipy.special import gammaincc
-
     gain = sum(fitted.common.chi2) - sum(fitted.single[p].chi2[0] for p in names)
     points = sum(int(fitted.keep[p].sum()) for p in names)
     scale = max(1.0, sum(fitted.single[p].chi2[0] for p in names) / max(points, 1))
     return float(gammaincc(free * (len(names) - 1) / 2, max(gain / scale, 0) / 2))
 
 
-def _own(fitted: Fitted, plane: str, *, shared: bool) -> tuple[Surface, Float, int]:
-    """Surface that holds a plane's curve, its coefficients and its number there."""
-    surface = fitted.surface if shared else fitted.single[plane]
-    k = list(fitted.blocks).index(plane) if shared else 0
-    return surface, surface.coefficients[k], k
-
-
 def _plane(
     fitted: Fitted, plane: str, sensor: Sensor, *, radius: Float, shared: bool, inflation: float, black_sigma_dn: float
-) -> FalloffPlane:
-    surface, coefficients, k = _own(fitted, plane, shared=shared)
+) -> PlaneIllumination:
+    surface, coefficients, k = own_surface(fitted, plane, shared=shared)
     own_covariance, middle_values = surface.plane_covariance(k, k), surface.radial.at_center()
     at_center = float(coefficients @ middle_values)
     blocks, points, keep = fitted.blocks[plane], fitted.points[plane], fitted.keep[plane]
@@ -119,7 +200,7 @@ def _plane(
         **_maps(blocks, points, keep, surface, coefficients, at_center),
         **_rings(points, keep, surface, at_center),
     }
-    part = FalloffPlane(
+    part = PlaneIllumination(
         plane=plane,
         radius_mm=radius,
         curve=curve_gradient(radius, coefficients, surface.radial)[1],
@@ -180,52 +261,15 @@ def _maps(
 
 
 def _rings(points: Points, keep: NDArray[np.bool_], surface: Surface, at_center: float) -> dict[str, Float]:
-    """Weighted ring means of the tilt-corrected blocks; about 30 rings of equal width."""
+    """Weighted ring means of the tilt-corrected blocks; up to ``RINGS`` rings of equal width."""
     dx, dy = points.x_mm - surface.geometry[0], points.y_mm - surface.geometry[1]
     tilt = (1 + surface.geometry[2] * dx + surface.geometry[3] * dy) * at_center
     radius, value, weight = np.hypot(dx, dy)[keep], (points.value / tilt)[keep], (tilt / points.sigma)[keep] ** 2
-    ring = np.minimum((radius / max(radius.max(), 1e-12) * 30).astype(int), 29)
-    total = np.bincount(ring, weight, minlength=30)
+    ring = np.minimum((radius / max(radius.max(), 1e-12) * RINGS).astype(int), RINGS - 1)
+    total = np.bincount(ring, weight, minlength=RINGS)
     filled = total > 0
-    means = [np.bincount(ring, weight * v, minlength=30)[filled] / total[filled] for v in (radius, value)]
+    means = [np.bincount(ring, weight * v, minlength=RINGS)[filled] / total[filled] for v in (radius, value)]
     return {"ring_radius_mm": means[0], "ring": means[1], "ring_sigma": 1 / np.sqrt(total[filled])}
-
-
-def _color_shading(
-    fitted: Fitted, names: Sequence[str], radius: Float, *, shared: bool, inflation: float
-) -> dict[str, ColorShading]:
-    """R/G, B/G, Gr/Gb fall-off ratios; G is the mean of both greens; covariances between planes kept."""
-    if "Gr" not in names:
-        return {}
-    curves: dict[str, tuple[Float, dict[str, Float]]] = {}
-    for plane in names:
-        surface, coefficients, _ = _own(fitted, plane, shared=shared)
-        gradient, value = curve_gradient(radius, coefficients, surface.radial)
-        curves[plane] = (value, {plane: gradient})
-    green = (curves["Gr"][0] + curves["Gb"][0]) / 2
-    curves["G"] = (green, {p: curves[p][1][p] / 2 for p in ("Gr", "Gb")})
-    out = {}
-    for label, above, below in RATIOS:
-        (top, d_top), (bottom, d_bottom) = curves[above], curves[below]
-        ratio = top / bottom
-        gradients = {p: g / bottom[:, None] for p, g in d_top.items()}
-        for p, g in d_bottom.items():
-            gradients[p] = gradients.get(p, 0) - (ratio / bottom)[:, None] * g
-        out[label] = ColorShading(label, radius, ratio, inflation * _propagate(fitted, gradients, shared=shared))
-    return out
-
-
-def _propagate(fitted: Fitted, gradients: Mapping[str, Float], *, shared: bool) -> Float:
-    """Sigma of a function of several planes' coefficients."""
-    variance = np.zeros(next(iter(gradients.values())).shape[0])
-    for first, left in gradients.items():
-        surface, _, k = _own(fitted, first, shared=shared)
-        for second, right in gradients.items():
-            if not shared and first != second:
-                continue
-            cross = surface.plane_covariance(k, _own(fitted, second, shared=shared)[2])
-            variance += np.einsum("ri,ri->r", left @ cross, right)
-    return np.asarray(np.sqrt(np.maximum(variance, 0)))
 
 
 def _by_order(fitted: Fitted, names: Sequence[str]) -> Float:
