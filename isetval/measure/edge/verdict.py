@@ -3,9 +3,9 @@
 Refused (``flags``): ``roi_too_small``, ``no_edge``, ``low_contrast`` (step below 5 sigma of its
 noise), ``saturated``, ``clipped_black``, ``angle_near_0``, ``angle_near_45``, ``angle_near_90``, ``phase_gaps``
 (pixels see too few positions of the edge), ``edge_near_border``, ``too_blurred``, ``two_edges`` (more
-than one transition, a corner or a pattern).  Warned: ``shallow_angle`` (below 3 degrees),
-``short_edge`` (below 35, 70, 140 rows for one channel, greens, red or blue), ``clipped_black``,
-``strong_shading``, ``mtf50_not_reached`` (the SFR stays above one half up to 2 cy/px).
+than one transition, a corner or a pattern), ``overshoot`` (beyond what sharpening explains: a line or a gap).
+Warned: ``shallow_angle`` (below 3 degrees), ``short_edge`` (below 35, 70, 140 rows for one channel, greens, red
+or blue), ``clipped_black``, ``strong_shading``, ``mtf50_not_reached`` (the SFR stays above one half up to 2 cy/px).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from isetval.measure.edge.alternating_fit import FittedEdges
 from isetval.measure.edge.illumination import illumination_at
+from isetval.measure.edge.overshoot import Excursions, excursions, unexplained
 
 Float = NDArray[np.floating[Any]]
 
@@ -49,13 +50,22 @@ class Seen:
     noise_dn: Float
 
 
-def judge(fitted: FittedEdges, seen: Seen, channels: list[str]) -> list[Verdict]:
-    """All codes for the fitted edges."""
-    plateaus = plateau_residuals(fitted)
-    return [_judge(fitted, i, seen, channel, plateaus) for i, channel in enumerate(channels)]
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What may lie beside the edges: residuals of the plateaus, excursions of the ESFs, SFRs (regions, frequencies)."""
+
+    plateaus: Plateaus
+    excursions: Excursions
+    curves: Float
 
 
-def _judge(fitted: FittedEdges, i: int, seen: Seen, channel: str, plateaus: Plateaus) -> Verdict:
+def judge(fitted: FittedEdges, seen: Seen, channels: list[str], curves: Float) -> list[Verdict]:
+    """All codes for the fitted edges; ``curves`` (regions, frequencies) are their SFRs at the default frequencies."""
+    beside = Beside(plateau_residuals(fitted), excursions(fitted), curves)
+    return [_judge(fitted, i, seen, channel, beside) for i, channel in enumerate(channels)]
+
+
+def _judge(fitted: FittedEdges, i: int, seen: Seen, channel: str, beside: Beside) -> Verdict:
     flags: dict[str, str] = {}
     warnings: dict[str, str] = {}
     wrong = misfit(fitted, i, seen_dn=float(seen.step_dn[i]), noise_dn=float(seen.noise_dn[i]))
@@ -67,7 +77,8 @@ def _judge(fitted: FittedEdges, i: int, seen: Seen, channel: str, plateaus: Plat
     _clipping(flags, warnings, fitted, i)
     _sides(flags, fitted, i)
     if "edge_near_border" not in flags and "too_blurred" not in flags:
-        _single(flags, fitted, i, plateaus)
+        _single(flags, fitted, i, beside.plateaus)
+        flags |= unexplained(fitted, i, beside.excursions, beside.curves[i]) | flags
     length = 2 * float(fitted.lines.y_half_px[i]) * float(np.hypot(1, slope))
     if length < GOOD_LENGTH_PX[channel]:
         warnings["short_edge"] = (
