@@ -18,7 +18,7 @@ from isetval.core.hashing import content_hash, file_hash
 
 Float = NDArray[np.float64]
 FORMAT = 1  # of the file; a new one makes all stored numbers stale
-MAX_BYTES = 64_000_000  # of one plan; larger stores take longer to read than to make again
+MAX_BYTES = 64_000_000  # of one plan: a bound on the room that a store takes on the user's disk
 
 
 @lru_cache(maxsize=1)

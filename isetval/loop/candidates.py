@@ -115,6 +115,7 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
     """
     steps = [_steps(c) for c in wanted]
     columns = _secants(problem, point, wanted, steps)
+    _other_side(problem, point, wanted, steps, columns)
     for _ in range(2):
         again = []
         for i, column in enumerate(columns):
@@ -129,6 +130,23 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
         for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
             columns[i] = column
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
+
+
+def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]) -> None:
+    """Secants that are zero are taken again on the parameter's other side, in place: a full well shows below, not above."""
+    again = []
+    for i, (c, column) in enumerate(zip(wanted, columns, strict=True)):
+        turned = np.array(
+            [
+                not column[:, k].any() and p.low <= value - h <= p.high
+                for k, (p, value, h) in enumerate(zip(c.parameters, c.nominal, steps[i], strict=True))
+            ]
+        )
+        if turned.any():
+            steps[i] = np.where(turned, -steps[i], steps[i])
+            again.append(i)
+    for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
+        columns[i] = column
 
 
 def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Signature]:

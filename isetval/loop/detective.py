@@ -145,14 +145,14 @@ def _names(case: Case) -> list[str]:
 
 
 def score_all(case: Case) -> dict[str, Score]:
-    """The profiled score of every candidate at the present fit."""
-    out = {}
-    plain = make_frame(case.fitted)
-    for c in case.candidates:
-        own = [f.label for f in case.fitted.free if f.key in c.keys]
-        frame = make_frame(case.fitted, without=tuple(own)) if own else plain
-        out[c.name] = score(frame, case.problem.whitened(case.signatures[c.name].columns), one_sided=c.one_sided)
-    return out
+    """The profiled score of every candidate at the present fit.
+
+    A parameter that also carries a tolerance of the laboratory is tested like any other: the prior is one more row of
+    the frame, so that the pull of the tolerance is what the freed parameter would explain.
+    """
+    frame = make_frame(case.fitted)
+    white = {c.name: case.problem.whitened(case.signatures[c.name].columns) for c in case.candidates}
+    return {c.name: score(frame, white[c.name], one_sided=c.one_sided) for c in case.candidates}
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:

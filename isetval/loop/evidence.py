@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.camera.model import CameraModel
 from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate, Signature
 from isetval.loop.fit import Fit, fit
@@ -55,10 +56,13 @@ def refit(
     high = np.array([f.high for f in free_effect])
     reach = np.maximum(np.abs(signature.steps) * 1.5, candidate.tau)
     value = np.clip(candidate.nominal + np.clip(estimate, -reach, reach), low, high)
-    start = Point(start_model.with_values(dict(zip(candidate.keys, map(float, value), strict=True))), fitted.point.values)
+    kept, dropped = without_prior(fitted.free, candidate)
+    start = without_values(
+        fitted.point, dropped, start_model.with_values(dict(zip(candidate.keys, map(float, value), strict=True)))
+    )
     effect_steps = np.maximum(candidate.effect.step_share * np.abs(value - candidate.nominal), 0.02 * candidate.tau)
     free = (
-        *without_prior(fitted.free, candidate),
+        *kept,
         *(f.stepped(float(h)) for f, h in zip(free_effect, effect_steps, strict=True)),
     )
     joint = fit(problem, start, free)
@@ -66,6 +70,7 @@ def refit(
     sides = np.log(2.0) if candidate.one_sided else 0.0
     gain = (fitted.chi2 - joint.chi2) / 2
     log_evidence = gain - (volume - null_hessian) / 2 - float(np.sum(np.log(candidate.tau))) + sides
+    log_evidence += sum(np.log(p.prior) for p in dropped if p.prior)  # the null paid for these priors, the effect does not
     if gain > found.dchi2 / 4:
         return Refit(candidate, joint, float(log_evidence), 2 * float(gain), {key: joint.value(key)[0] for key in candidate.keys})
     linear = dict(zip(candidate.keys, map(float, value), strict=True))
@@ -78,9 +83,16 @@ def _linear_evidence(candidate: Candidate, found: Score, sides: float) -> float:
     return float(found.dchi2 / 2 + np.sum(width) + sides)
 
 
-def without_prior(free: Sequence[Parameter], candidate: Candidate) -> tuple[Parameter, ...]:
-    """Free parameters without the nuisances that are the candidate's own parameters."""
-    return tuple(f for f in free if f.key not in candidate.keys)
+def without_prior(free: Sequence[Parameter], candidate: Candidate) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+    """Free parameters without the tolerances of the candidate's own parameters, and those."""
+    kept = tuple(f for f in free if f.key not in candidate.keys)
+    return kept, tuple(f for f in free if f.key in candidate.keys)
+
+
+def without_values(point: Point, dropped: Sequence[Parameter], model: CameraModel) -> Point:
+    """``model`` at the point, without the values of tolerances that are free no more: they would be added to the effect's."""
+    gone = {p.label for p in dropped}
+    return Point(model, {label: value for label, value in point.values.items() if label not in gone})
 
 
 def log_hessian(fitted: Fit) -> float:

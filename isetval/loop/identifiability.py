@@ -87,8 +87,7 @@ def identify(
         rows, hidden = [], []
         for s in made:
             c = s.candidate
-            own = tuple(f.label for f in fitted.free if f.key in c.keys)
-            found = score(make_frame(fitted, without=own) if own else frame, white[c.name])
+            found = score(frame, white[c.name])
             seen = bool(found.rank and np.any(found.sigma < c.tau))
             if not seen:
                 hidden.append(c.name)

@@ -16,6 +16,7 @@ from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 
 Float = NDArray[np.float64]
+FLICKER_STEP = 0.01  # of the light: several times the flicker of lamps, well inside the linear range
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,17 +112,24 @@ def weigh(problem: Problem) -> None:
     problem.whiten = whitener(covariance[np.ix_(keep, keep)])
 
 
+def _light_slope(problem: Problem, step: float) -> Float:
+    """Derivative of the metrics (metrics,) by the light's relative level, nan where a row cannot be measured there."""
+    plan, predictor = problem.plan, problem.predictor
+    moved = replace(plan, shots=tuple(replace(s, light_level=s.light_level * (1 + step)) for s in plan.shots))
+    (vector,) = Predictor(moved, predictor.table).derivative_vectors([problem.origin], problem.seeds)
+    return np.asarray((vector - problem.anchor) / step)
+
+
 def _frame_columns(problem: Problem) -> list[Float]:
     """Columns of light that flickers from frame to frame: one random number per shot, sigma / sqrt(frames)."""
     plan, predictor = problem.plan, problem.predictor
     priors = [n for n in plan.nuisances if n.scope == "frame" and n.parameter == "light_level"]
     if not priors:
         return []
-    step = 0.01
-    brighter = replace(plan, shots=tuple(replace(s, light_level=s.light_level * (1 + step)) for s in plan.shots))
-    other = Predictor(brighter, predictor.table)
-    (moved,) = other.derivative_vectors([problem.origin], problem.seeds)
-    slope = (moved - problem.anchor) / step
+    slope = _light_slope(problem, FLICKER_STEP)
+    lost = ~np.isfinite(slope)  # a plane that saturates in more light loses its rows: those are differentiated in less
+    if lost.any():
+        slope = np.where(lost, np.nan_to_num(_light_slope(problem, -FLICKER_STEP)), slope)
     out = []
     for shot in predictor.shots:
         sigma = np.sqrt(sum(n.sigma**2 for n in priors if n.applies_to(shot)) / shot.frames)

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
-from isetval.loop.evidence import PROBABILITY_CAP, Refit, log_hessian, without_prior
+from isetval.loop.evidence import PROBABILITY_CAP, Refit, log_hessian, without_prior, without_values
 from isetval.loop.fit import Fit, fit, nuisance_parameters
 from isetval.loop.investigation import ODDS, Case, named_model
-from isetval.loop.prediction import Point
 
 Float = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -45,10 +44,12 @@ def _in_place_of(case: Case, place: int, rival: Refit) -> Fit:
     model = rival.candidate.model_with(named_model(case, others, case.fitted)).with_values(dict(rival.values))
     free: tuple[Parameter, ...] = nuisance_parameters(case.problem.plan, case.prepared.model)
     kept = [key for named in others for key in named.candidate.keys]
+    gone: tuple[Parameter, ...] = ()
     for named in (*others, rival):
-        free = without_prior(free, named.candidate)
+        free, dropped = without_prior(free, named.candidate)
+        gone += dropped
     effects = [f for f in case.fitted.free if f.key in kept] + [f for f in rival.fitted.free if f.key in rival.candidate.keys]
-    return fit(case.problem, Point(model, case.fitted.point.values), (*free, *effects))
+    return fit(case.problem, without_values(case.fitted.point, gone, model), (*free, *effects))
 
 
 def _odds(case: Case, earlier: Refit, rival: Refit, joint: Fit) -> float:

@@ -37,12 +37,10 @@ class Frame:
         return np.asarray(tall - self.basis @ (self.basis.T @ tall))
 
 
-def make_frame(fitted: Fit, *, without: tuple[str, ...] = ()) -> Frame:
-    """The frame of a fit; ``without`` names free parameters that lose their prior and leave the nuisances."""
-    keep = [i for i, f in enumerate(fitted.free) if f.label not in without]
-    free = [fitted.free[i] for i in keep]
-    matrix, priors = with_priors(fitted.jacobian[:, keep], free)
-    pulls = -prior_weights(free) * (fitted.values[keep] - np.array([f.center for f in free]))
+def make_frame(fitted: Fit) -> Frame:
+    """The frame of a fit."""
+    matrix, priors = with_priors(fitted.jacobian, fitted.free)
+    pulls = -prior_weights(fitted.free) * (fitted.values - np.array([f.center for f in fitted.free]))
     z = np.concatenate([fitted.z, pulls[priors]])
     q = orthonormal_basis(matrix)
     return Frame(z, q, fitted.z.size)

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
 from isetval.loop import gaussian
+from isetval.loop.fit import Fit
+from isetval.loop.gaussian import prior_weights
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Frame
 
@@ -203,3 +205,35 @@ def _family_squares(problem: Problem, residual: Float) -> dict[str, tuple[float,
         rows = problem.keep[families == family]
         out[str(family)] = (gaussian.square(residual[rows], problem.covariance[np.ix_(rows, rows)]), rows.size)
     return out
+
+
+def pulled(fits: Sequence[tuple[str, Fit]], *, alpha: float = 0.01) -> list[str]:
+    """Nuisances that stand farther from what the laboratory states than all of them together allow.
+
+    ``fits`` are (which captures, their fit).  A pull is at most a unit normal under a true prior, whatever the data
+    know of it (Bonferroni over all of them); one beyond that means a wrong prior, or something missing that it answers for.
+    """
+    from scipy.stats import norm
+
+    pulls = [(words, f, v) for words, fit in fits for f, v in zip(fit.free, fit.values, strict=True) if f.is_nuisance and f.prior]
+    out = []
+    for words, f, value in pulls:
+        pull = (value - f.center) * f.weight
+        if 2 * norm.sf(abs(pull)) * len(pulls) < alpha:
+            unit = "" if f.unit == "1" else f" {f.unit}"
+            out.append(
+                f"{f.label} stands {pull:+.1f} prior sigmas off ({value:.3g}{unit}, {words}): the prior, or what it answers for"
+            )
+    return out
+
+
+def misfit(words: str, problem: Problem, fit: Fit, *, alpha: float = 0.01) -> list[str]:
+    """Whether captures as a whole scatter more about a model than their sigma says, after allowing 10 %."""
+    from scipy.stats import chi2
+
+    n = problem.keep.size
+    pulls = prior_weights(fit.free) * (fit.values - np.array([f.center for f in fit.free]))
+    total = float(fit.z @ fit.z + pulls @ pulls)
+    if chi2.sf(total / ALLOWED, n) >= alpha:
+        return []
+    return [f"{words} scatter {np.sqrt(total / n):.2f} times as much as their sigma says ({n} values)"]

@@ -8,13 +8,13 @@ from typing import Any
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Signature
-from isetval.loop.investigation import Case, second_session
+from isetval.loop.investigation import Case, named_model, second_session
 from isetval.loop.ladder import captures_of, ladder_rows
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter
 from isetval.loop.score_test import cosine
-from isetval.loop.unknown import Finding, family_excess
+from isetval.loop.unknown import Finding, family_excess, misfit, pulled
 
 Say = Callable[[str], None]
 
@@ -24,7 +24,9 @@ def account_of(case: Case, gate: Mapping[str, Any], leftovers: list[Finding], *,
     prepared, held = case.prepared, case.held
     nominal = prepared.model
     model, effects = _model_with(case)
-    excess = family_excess(case.problem, case.fitted.residual, alpha=alpha, second=second_session(case))
+    excess = family_excess(case.problem, case.fitted.residual, alpha=alpha, second=second_session(case)) + _against_priors(
+        case, alpha
+    )
     words = [f.words for f in leftovers] + excess
     say("drawing the ladder")
     models = [nominal] if model is nominal else [nominal, model]
@@ -88,6 +90,17 @@ def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
     if effects:
         model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
     return model, effects
+
+
+def _against_priors(case: Case, alpha: float) -> list[str]:
+    """Pulls of the laboratory's unknowns that are too long, and a hold-out that does not fit, under the named model."""
+    fits = [("the captures used", case.fitted)]
+    words: list[str] = []
+    if case.held is not None:
+        problem, fitted = case.held.settled(named_model(case, case.named, case.fitted))
+        fits.append(("the hold-out", fitted))
+        words = misfit("the metrics of the hold-out", problem, fitted, alpha=alpha)
+    return pulled(fits, alpha=alpha) + words
 
 
 def _captures(case: Case) -> tuple[str, ...]:

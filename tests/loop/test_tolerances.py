@@ -1,0 +1,89 @@
+"""Parameters of the camera that also carry a tolerance of the laboratory: tested, named and sized like any other."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.core.campaign import Campaign, Nuisance, Shot
+from isetval.core.paths import data_folder
+from isetval.loop.candidates import Signature, candidates_for
+from isetval.loop.evidence import log_hessian, refit
+from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.prediction import Base, Point
+from isetval.loop.problem import Problem
+from isetval.loop.score_test import make_frame, score
+from isetval.loop.unknown import misfit, pulled
+
+KEY = "dark_current.rate_e_per_s"
+LABEL = f"{KEY}@campaign:"
+ROWS = 12
+SLOPE = np.linspace(1.0, 3.0, ROWS) * 40.0  # sigmas per e-/s
+TOLERANCE, HIDDEN = 0.05, 0.5
+
+
+class DarkCamera:
+    """Metrics that are linear in the dark current, whoever moves it."""
+
+    def __init__(self, plan, nominal):
+        self.plan, self.nominal = plan, nominal
+        self.table = SimpleNamespace(metrics=())
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        return [SLOPE * (p.model.value(KEY) - self.nominal.value(KEY) + p.values.get(LABEL, 0.0)) for p in points]
+
+
+@pytest.fixture(scope="module")
+def case():
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    plan = Campaign("p", (Shot("d", "dark"),), nuisances=(Nuisance(KEY, TOLERANCE, "e-/s", "campaign"),))
+    base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
+    measured = HIDDEN * SLOPE
+    problem = Problem(
+        DarkCamera(plan, model), Point(model), base, measured, np.arange(ROWS), np.eye(ROWS), np.zeros(ROWS), np.eye(ROWS)
+    )
+    fitted = fit(problem, Point(model), nuisance_parameters(plan, model))
+    candidate = next(c for c in candidates_for(model) if c.name == "dark_current")
+    column = np.zeros((ROWS, len(candidate.keys)))
+    column[:, candidate.keys.index(KEY)] = SLOPE
+    return problem, fitted, candidate, Signature(candidate, column, candidate.tau)
+
+
+def test_the_pull_of_a_tolerance_is_the_score_of_the_freed_parameter(case):
+    _, fitted, candidate, signature = case
+    i = candidate.keys.index(KEY)
+    found = score(make_frame(fitted), signature.columns)
+    # closed form: the data know the offset to 1/|slope|, the prior allows 0 +- .05
+    data = 1 / np.linalg.norm(SLOPE)
+    sigma = np.hypot(TOLERANCE, data)
+    assert found.estimate[i] == pytest.approx(HIDDEN, rel=1e-6)
+    assert found.sigma[i] == pytest.approx(sigma, rel=1e-6)
+    assert found.dchi2 == pytest.approx((HIDDEN / sigma) ** 2, rel=1e-6)
+
+
+def test_the_named_effect_takes_the_whole_offset(case):
+    problem, fitted, candidate, signature = case
+    assert fitted.value(LABEL)[0] == pytest.approx(HIDDEN, rel=0.01)  # the tolerance has swallowed it
+    found = score(make_frame(fitted), signature.columns)
+    made = refit(problem, fitted, candidate, signature=signature, found=found, null_hessian=log_hessian(fitted))
+    value, sigma = made.fitted.value(KEY)
+    assert value - problem.nominal.value(KEY) == pytest.approx(HIDDEN, abs=3 * sigma)
+    assert sigma == pytest.approx(1 / np.linalg.norm(SLOPE), rel=0.05)
+    assert LABEL not in made.fitted.point.values
+    # the null paid chi2 = 100 for its prior's pull; Laplace with both priors in closed form
+    tau = candidate.tau[candidate.keys.index(KEY)]
+    data = 1 / np.linalg.norm(SLOPE)
+    ln_z0 = -0.5 * (HIDDEN**2 / (TOLERANCE**2 + data**2)) - 0.5 * np.log(1 + (TOLERANCE / data) ** 2)
+    ln_ze = -0.5 * (HIDDEN**2 / (tau**2 + data**2)) - 0.5 * np.log(1 + (tau / data) ** 2)
+    if len(candidate.keys) == 1 and not candidate.one_sided:
+        assert made.log_evidence == pytest.approx(ln_ze - ln_z0, abs=0.05)
+
+
+def test_a_pull_beyond_what_all_allow_is_told(case):
+    problem, fitted, *_ = case
+    (words,) = pulled([("the captures used", fitted)])
+    assert KEY in words
+    assert "+10.0 prior sigmas" in words
+    assert not pulled([("the captures used", fitted)], alpha=1e-30)
+    assert misfit("the metrics", problem, fitted)  # 100 on 12 values
