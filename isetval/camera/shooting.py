@@ -13,6 +13,7 @@ from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
+from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.streams import stream, word
 from isetval.scenes.rendered.accumulation import Progress as RenderProgress
@@ -62,7 +63,7 @@ def simulate(
     values = dict(values or {})
     if draw:
         values = draw_nuisances(plan, seed) | values
-    captures = {}
+    captures = MemoryCaptures()
     for i, (shot, frames) in enumerate(shoot(model, plan, seed, values=values, draw=draw, sensor_seed=sensor_seed)):
         captures[shot.name] = frames
         if progress is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from isetval.core.capture import Capture
+from isetval.core.captures import Captures, MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.parameter import NuisanceKind, Parameter, split_key
 from isetval.core.region import Window
@@ -113,7 +113,8 @@ class Shot:
     ``window`` is (row0, col0, rows, cols) on the sensor, a `Window` or four numbers.  ``light_level`` scales the light's radiance
     as stated by the laboratory.  ``focus_um`` is the stated shift of the sensor from best focus,
     ``distance_m`` that of the target.  ``repeat_of`` names the shot that this one repeats with a
-    newly made set-up.
+    newly made set-up.  ``method`` and ``channel`` ask an estimator for another method than its own, or for one channel
+    only: a simulation of the shot is then measured by the same.
     """
 
     name: str
@@ -131,6 +132,8 @@ class Shot:
     distance_m: float | None = None
     repeat_of: str | None = None
     files: tuple[str, ...] = ()
+    method: str = ""
+    channel: str = ""
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:
@@ -151,13 +154,15 @@ class Shot:
 class Campaign:
     """A plan and, per shot, its captures (frame index = position; none at all: a plan).
 
+    ``captures`` hands them out by the shot's name, ``captures["flat_03"]``; files are opened then and not before.
+
     ``sensor`` is the full sensor that windows refer to; ``camera`` the path of the model file that
     the plan names, if any.
     """
 
     name: str
     shots: tuple[Shot, ...]
-    captures: Mapping[str, tuple[Capture, ...]] = field(default_factory=dict)
+    captures: Captures = field(default_factory=MemoryCaptures)
     lights: Mapping[str, Light] = field(default_factory=dict)
     nuisances: tuple[Nuisance, ...] = ()
     sensor: Sensor | None = None
@@ -167,6 +172,8 @@ class Campaign:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if isinstance(self.captures, dict) and not isinstance(self.captures, MemoryCaptures):  # frames by shot, plainly
+            object.__setattr__(self, "captures", MemoryCaptures(self.captures))
         names = [shot.name for shot in self.shots]
         if len(set(names)) != len(names):
             twice = sorted(name for name, count in Counter(names).items() if count > 1)
@@ -181,7 +188,7 @@ class Campaign:
     @property
     def is_plan(self) -> bool:
         """Whether no shot has captures."""
-        return not any(self.captures.values())
+        return not any(shot.name in self.captures for shot in self.shots)
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -196,8 +203,7 @@ class Campaign:
             for shot in self.shots
             if shot.name in wanted
         )
-        captures = {name: frames for name, frames in self.captures.items() if name in wanted}
-        return replace(self, shots=shots, captures=captures)
+        return replace(self, shots=shots, captures=self.captures.only(wanted))
 
     def session(self, name: str) -> Campaign:
         """One measurement session."""
@@ -205,7 +211,7 @@ class Campaign:
 
     def as_plan(self) -> Campaign:
         """The campaign without its captures."""
-        return replace(self, captures={})
+        return replace(self, captures=MemoryCaptures())
 
     def unknowns(self) -> tuple[Parameter, ...]:
         """Every value that the laboratory does not know exactly, once for all shots that share it.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,13 @@ from isetval.core.scene import Target
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.spectrum import Spectrum, read_spectra
 from isetval.core.toml import check_keys, number, numbers, read_toml, text, texts
+from isetval.files.captures import FileCaptures
 from isetval.files.target_file import read_target
 
 _KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "notes")
 _SHOT_KEYS = (
     "name", "role", "measurement_session", "setup", "light", "light_level", "exposure_s", "iso", "rotation_deg", "window",
-    "size", "frames", "files", "target", "focus_um", "distance_m", "repeat_of", "notes",
+    "size", "frames", "files", "target", "focus_um", "distance_m", "repeat_of", "method", "channel", "notes",
 )  # fmt: skip
 _NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "notes")
 
@@ -75,43 +76,31 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     except InputError as error:
         raise InputError(f"{path}: {error}" if not str(error).startswith(str(path)) else str(error)) from None
     with_files = {shot.name: shot for shot in campaign.shots if shot.files}
-    return replace(campaign, captures=FileCaptures(with_files, sensor, path.parent)) if with_files else campaign
+    if not with_files:
+        return campaign
+    read = _PlacedReader(with_files, sensor, path.parent)
+    files = {name: shot.files for name, shot in with_files.items()}
+    return replace(campaign, captures=FileCaptures(files, read, folder=path.parent))
 
 
-class FileCaptures(Mapping[str, tuple[Capture, ...]]):
-    """The captures of a folder, decoded when asked for; nothing is kept in memory."""
+@dataclass(frozen=True, eq=False)
+class _PlacedReader:
+    """Reads a frame of a shot onto the campaign's sensor; refused where file and plan disagree."""
 
-    def __init__(self, shots: Mapping[str, Shot], sensor: Sensor, folder: Path) -> None:
-        self._shots, self._sensor, self._folder = shots, sensor, folder
+    shots: Mapping[str, Shot]
+    sensor: Sensor
+    folder: Path
 
-    def __getitem__(self, name: str) -> tuple[Capture, ...]:
-        shot = self._shots[name]
-        return tuple(self.read(shot, file) for file in shot.files)
-
-    def read(self, shot: Shot, file: str) -> Capture:
-        """One frame, on the campaign's sensor; refused where file and plan disagree."""
+    def __call__(self, name: str, file: str) -> Capture:
         from isetval.files.dng import place_on_sensor, read_dng
 
-        path = self._folder / file
+        shot, path = self.shots[name], self.folder / file
         capture = read_dng(path)
         _check_exposure(capture.exposure, shot, path)
         window = (shot.window or (0, 0))[:2]
-        placed: Capture = place_on_sensor(capture, self._sensor, (window[0], window[1]))
+        placed: Capture = place_on_sensor(capture, self.sensor, (window[0], window[1]))
         time_s = placed.exposure.time_s if placed.exposure.time_s is not None else shot.exposure.time_s
         return replace(placed, exposure=replace(placed.exposure, time_s=time_s))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._shots)
-
-    def __len__(self) -> int:
-        return len(self._shots)
-
-    def __bool__(self) -> bool:
-        return bool(self._shots)
-
-    def values(self) -> Any:
-        """File names per shot (not the pixels: those are read on request)."""
-        return [shot.files for shot in self._shots.values()]
 
 
 def _check_exposure(found: Exposure, shot: Shot, path: Path) -> None:
@@ -235,6 +224,8 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
             distance_m=_optional(entry, "distance_m", where),
             repeat_of=text(entry, "repeat_of", where) or None,
             files=files,
+            method=text(entry, "method", where),
+            channel=text(entry, "channel", where),
         )
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None

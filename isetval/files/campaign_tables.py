@@ -103,6 +103,8 @@ def shot_table(shot: Shot, target: str, files: tuple[str, ...]) -> dict[str, Any
         "focus_um": shot.focus_um,
         "distance_m": shot.distance_m,
         "repeat_of": shot.repeat_of,
+        "method": shot.method or None,
+        "channel": shot.channel or None,
         "frames": len(files) or shot.frames,
         "files": list(files) or None,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from isetval.core.sensor import Sensor
 from isetval.core.writing import write_whole
 from isetval.files.campaign_tables import Spectra, file_stem, light_table, nuisance_table, shot_table, target_table
 
-Shots = Iterable[tuple[Shot, tuple[Capture, ...]]]
+Shots = Iterable[tuple[Shot, Sequence[Capture]]]
 
 
 def write_campaign(
@@ -112,7 +112,7 @@ def _own(campaign: Campaign) -> Shots:
 
 
 def _write_frames(
-    folder: Path, campaign: Campaign, shot: Shot, frames: tuple[Capture, ...], model: CameraModel | None
+    folder: Path, campaign: Campaign, shot: Shot, frames: Sequence[Capture], model: CameraModel | None
 ) -> tuple[str, ...]:
     from isetval.files.dng import write_dng
 

@@ -1,60 +1,186 @@
-"""Campaign folders with some broken files: measured without them, and the broken ones listed."""
+"""Captures that lie in files: decoded when their shot is read, each file once, broken ones listed and left out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from typing import Any
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import overload
 
 from isetval.core.campaign import Campaign
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.files.campaign_file import FileCaptures
+
+HELD_PIXELS = 400_000_000  # 800 MB of frames: what a shot may keep in memory; longer series are decoded frame by frame
+Reader = Callable[[str, str], Capture]
+"""(shot name, file name) -> the capture."""
 
 
-class Forgiving(Mapping[str, tuple[Capture, ...]]):
-    """Captures of a campaign folder; files that cannot be read are listed in ``skipped`` instead of raised."""
+@dataclass(eq=False)
+class _Record:
+    """What happened to the files so far: shared by all parts of one campaign."""
 
-    def __init__(self, captures: FileCaptures, campaign: Campaign) -> None:
-        self._captures = captures
-        self._shots = {shot.name: shot for shot in campaign.shots}
-        self.skipped: list[tuple[str, str]] = []
+    skipped: dict[str, str] = field(default_factory=dict)
+    hashes: dict[str, str] = field(default_factory=dict)
+    ahead: dict[str, Capture] = field(default_factory=dict)
 
-    def __getitem__(self, name: str) -> tuple[Capture, ...]:
-        shot = self._shots[name]
-        out = []
-        for file in shot.files:
-            try:
-                out.append(self._captures.read(shot, file))
-            except InputError as error:
-                self.skipped.append((file, str(error)))
-        return tuple(out)
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._captures)
+class FileCaptures:
+    """The captures of shots whose frames are files.
+
+    Parameters
+    ----------
+    files : mapping
+        Shot name -> its files, in order of the frames.
+    read : callable
+        (shot name, file name) -> Capture.
+    folder : Path, optional
+        What file names are relative to, for ``hashes``.
+    """
+
+    def __init__(self, files: Mapping[str, Sequence[str]], read: Reader, *, folder: Path | None = None) -> None:
+        self._files = {name: tuple(own) for name, own in files.items()}
+        self._read, self._folder = read, folder
+        self._record = _Record()
+
+    @property
+    def files(self) -> Mapping[str, tuple[str, ...]]:
+        """Names of the files of each shot."""
+        return self._files
+
+    @property
+    def skipped(self) -> Sequence[tuple[str, str]]:
+        """(file, reason) of all that could not be read so far."""
+        own = {file for files in self._files.values() for file in files}
+        return tuple((file, reason) for file, reason in self._record.skipped.items() if file in own)
+
+    @property
+    def hashes(self) -> Mapping[str, str]:
+        """Path -> SHA-256 of the bytes that were decoded."""
+        return {str(self._folder / file if self._folder else file): sha for file, sha in self._record.hashes.items()}
+
+    def __contains__(self, name: object) -> bool:
+        return bool(self._files.get(str(name)))
+
+    def __getitem__(self, name: str) -> Sequence[Capture]:
+        if name not in self._files:
+            raise KeyError(name)
+        return self.read(name)
+
+    def only(self, names: Iterable[str]) -> FileCaptures:
+        """The captures of the named shots; what was read or skipped is known to both."""
+        wanted = set(names)
+        part = FileCaptures({n: f for n, f in self._files.items() if n in wanted}, self._read, folder=self._folder)
+        part._record = self._record
+        return part
+
+    def read(self, name: str) -> Sequence[Capture]:
+        """Frames of a shot without those that cannot be read; in memory, unless they are too many for it."""
+        frames: list[Capture] = []
+        good: list[str] = []
+        held = 0
+        for file in self._files.get(name, ()):
+            capture = self._tried(name, file)
+            if capture is None:
+                continue
+            good.append(file)
+            held += capture.mosaic.size
+            if held <= HELD_PIXELS:
+                frames.append(capture)
+        return tuple(frames) if len(frames) == len(good) else Frames(good, lambda file: self._again(name, file))
+
+    def later(self, name: str) -> Sequence[Capture]:
+        """Frames of a shot that was read before, each decoded again when it is looked at."""
+        good = [file for file in self._files.get(name, ()) if file not in self._record.skipped]
+        return Frames(good, lambda file: self._again(name, file))
+
+    def grouped(self, files: Mapping[str, Sequence[str]]) -> FileCaptures:
+        """The same files as the frames of other shots."""
+        part = FileCaptures(files, self._read, folder=self._folder)
+        part._record = self._record
+        return part
+
+    def take(self, name: str, file: str) -> Capture | None:
+        """One frame that nobody else asks for; None where it cannot be read, with the reason in ``skipped``."""
+        return self._tried(name, file)
+
+    def refuse(self, file: str, error: Exception) -> None:
+        """Leave a file out that was decoded but cannot be used."""
+        self._record.skipped[file] = str(error) if isinstance(error, InputError) else defect_words(error)
+        self._record.ahead.pop(file, None)
+
+    def look_ahead(self, name: str, file: str) -> Capture | None:
+        """One frame before its shot is read; kept for that, within the bound of memory."""
+        capture = self._tried(name, file)
+        held = sum(c.mosaic.size for c in self._record.ahead.values())
+        if capture is not None and held + capture.mosaic.size <= HELD_PIXELS:
+            self._record.ahead[file] = capture
+        return capture
+
+    def _tried(self, name: str, file: str) -> Capture | None:
+        """A frame, or None with its reason in ``skipped``; a defect of ours is said to be one."""
+        if file in self._record.ahead:
+            return self._record.ahead.pop(file)
+        try:
+            return self._again(name, file)
+        except InputError as error:
+            self._record.skipped[file] = str(error).removeprefix(f"{file}: ").removeprefix(f"{Path(file).name}: ")
+        except Exception as error:  # one odd file must not lose the others
+            self._record.skipped[file] = defect_words(error)
+        return None
+
+    def _again(self, name: str, file: str) -> Capture:
+        """A frame whose bytes are those of the first time."""
+        capture = self._read(name, file)
+        sha = str(capture.provenance.get("sha256", ""))
+        if self._record.hashes.setdefault(file, sha) != sha:
+            raise InputError(f"{file}: has changed while it was measured; leave the files alone and start again")
+        self._record.skipped.pop(file, None)
+        return capture
+
+
+def defect_words(error: Exception) -> str:
+    """The sentence for what is no fault of the file."""
+    return f"a defect of isetval ({type(error).__name__}: {error}); please report it with the file"
+
+
+class Frames(Sequence[Capture]):
+    """Frames that are decoded when they are looked at; the last ones stay in memory within `HELD_PIXELS`."""
+
+    def __init__(self, files: Sequence[str], decode: Callable[[str], Capture]) -> None:
+        self._files, self._decode = tuple(files), decode
+        self._kept: OrderedDict[int, Capture] = OrderedDict()
+        self._lock = threading.Lock()
+
+    @overload
+    def __getitem__(self, index: int) -> Capture: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Capture]: ...
+    def __getitem__(self, index: int | slice) -> Capture | Sequence[Capture]:
+        if isinstance(index, slice):
+            return Frames(self._files[index], self._decode)
+        i = range(len(self))[index]
+        with self._lock:
+            if i in self._kept:
+                self._kept.move_to_end(i)
+                return self._kept[i]
+        capture = self._decode(self._files[i])
+        with self._lock:
+            self._kept[i] = capture
+            while sum(c.mosaic.size for c in self._kept.values()) > HELD_PIXELS and len(self._kept) > 1:
+                self._kept.popitem(last=False)
+        return capture
 
     def __len__(self) -> int:
-        return len(self._captures)
-
-    def values(self) -> Any:
-        """File names per shot (not the pixels)."""
-        return self._captures.values()
+        return len(self._files)
 
 
-def forgiving(campaign: Campaign) -> tuple[Campaign, list[tuple[str, str]]]:
-    """The campaign with its broken files left out as they are met, and the list they are entered in."""
-    if not isinstance(campaign.captures, FileCaptures):
-        return campaign, []
-    captures = Forgiving(campaign.captures, campaign)
-    return replace(campaign, captures=captures), captures.skipped
-
-
-def hashes(campaign: Campaign) -> dict[str, str]:
-    """SHA-256 of the campaign's file and of all its captures' files."""
+def input_hashes(campaign: Campaign) -> dict[str, str]:
+    """SHA-256 of the campaign's own file, and of the bytes of all captures that were decoded so far."""
     from isetval.core.hashing import file_hash
 
-    if campaign.folder is None:
-        return {}
-    names = ["campaign.toml"] if (campaign.folder / "campaign.toml").is_file() else []
-    names += [file for shot in campaign.shots for file in shot.files]
-    return {str(campaign.folder / name): file_hash(campaign.folder / name) for name in dict.fromkeys(names)}
+    file = None if campaign.folder is None else campaign.folder / "campaign.toml"
+    own = {str(file): file_hash(file)} if file is not None and file.is_file() else {}
+    return own | dict(campaign.captures.hashes)

@@ -1,35 +1,54 @@
-"""Measuring loose files: one DNG after another, or a set of one role, without a campaign around them."""
+"""Loose files without a campaign around them: they become one, and are measured like every other."""
 
 from __future__ import annotations
 
 import os
-from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any
 
-import numpy as np
-
-from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.core.campaign import Campaign, Shot
+from isetval.core.capture import Capture, Roi, check_roi
+from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
-from isetval.core.metric import Metric
-
-if TYPE_CHECKING:
-    import pandas as pd
+from isetval.core.metric import Metric, MetricTable
+from isetval.files.captures import FileCaptures
+from isetval.files.file_facts import FileFacts, by_level, facts_of
+from isetval.files.target_search import find_targets
+from isetval.measure.campaign import measure_campaign
+from isetval.measure.shot_summaries import plane_levels
 
 Reader = Callable[[Path], Capture]
 Progress = Callable[[str, int, int], None]
-CACHE_PIXELS = 400_000_000
+DESCRIBED = 64  # files of a series that are described pixel by pixel; of longer ones only what the tags say
 RAW_SUFFIXES = (".dng",)
+SERIES_ROLES = ("dark", "flat")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a person asks of the estimators: a method, one channel, a region of the capture, a stated gain."""
+
+    role: str | None = None
+    method: str = ""
+    channel: str = ""
+    roi: Roi | None = None
+    gain_dn_per_e: float | None = None
+
+    @property
+    def patches(self) -> Mapping[str, Any]:
+        """Arguments of `uniform_patches`."""
+        return {} if self.gain_dn_per_e is None else {"gain_dn_per_e": self.gain_dn_per_e}
 
 
 @dataclass(frozen=True, eq=False)
 class FileMeasurement:
     """What loose files gave.
 
-    ``metrics`` are (file name or "", Metric); ``files`` describes every file that was read; ``skipped``
-    are (file, reason) of those that could not be read; ``notes`` are remarks with their reason.
+    ``metrics`` are (file name, or "" where several files gave it, Metric); ``files`` describes every file that was read;
+    ``skipped`` are (file, reason) of those that could not be read; ``notes`` are remarks with their reason; ``empty`` says
+    that the role asked for gave no number, with the reasons.
     """
 
     metrics: tuple[tuple[str, Metric], ...] = ()
@@ -37,22 +56,23 @@ class FileMeasurement:
     skipped: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    empty: str = ""
 
 
 def raw_files(paths: Iterable[Path]) -> list[Path]:
-    """The DNG files among files and folders, folders searched one level deep, in order of name.
+    """The DNG files among files and folders, folders searched at all levels, in order of name.
 
     Raises
     ------
     InputError
-        For a path that does not exist, or when there is no DNG at all.
+        For a path that does not exist, or a folder that holds no DNG at all.
     """
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in RAW_SUFFIXES and not p.name.startswith("."))
+            inside = files_below(path)
             if not inside:
-                raise InputError(f"{path}: holds no DNG file; name the folder that holds them, or the files")
+                raise InputError(f"{path}: holds no DNG file at any level; name the folder that holds them, or the files")
             found += inside
         elif path.exists():
             found.append(path)
@@ -61,64 +81,21 @@ def raw_files(paths: Iterable[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-class FileSequence(Sequence[Capture]):
-    """Captures of files, decoded on request; the last ones used stay in memory up to a limit."""
-
-    def __init__(self, paths: Sequence[Path], read: Reader) -> None:
-        self._paths, self._read = list(paths), read
-        self._kept: OrderedDict[int, Capture] = OrderedDict()
-
-    @overload
-    def __getitem__(self, index: int) -> Capture: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Capture]: ...
-    def __getitem__(self, index: int | slice) -> Capture | list[Capture]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        i = range(len(self))[index]
-        if i not in self._kept:
-            self._kept[i] = self._read(self._paths[i])
-            while sum(c.mosaic.size for c in self._kept.values()) > CACHE_PIXELS and len(self._kept) > 1:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(i)
-        return self._kept[i]
-
-    def __len__(self) -> int:
-        return len(self._paths)
-
-
-def readable(
-    paths: Sequence[Path], read: Reader, *, describe: bool = True, progress: Progress | None = None
-) -> tuple[list[Path], dict[str, Mapping[str, Any]], list[tuple[str, str]]]:
-    """Files that can be read with their description, and the others with the reason."""
-    from isetval.files.dng import describe_capture
-
-    good: list[Path] = []
-    files: dict[str, Mapping[str, Any]] = {}
-    skipped: list[tuple[str, str]] = []
-    for i, path in enumerate(paths):
-        try:
-            capture = read(path)
-        except InputError as error:
-            skipped.append((str(path), _without_path(str(error), path)))
-            continue
-        finally:
-            if progress is not None:
-                progress(f"reading {path.name}", i + 1, len(paths))
-        good.append(path)
-        described = describe_capture(capture) if describe else {"provenance": dict(capture.provenance)}
-        files[str(path)] = described | {"sha256": capture.provenance.get("sha256", "")}
-    return good, files, skipped
-
-
-def _without_path(message: str, path: Path) -> str:
-    return message.removeprefix(f"{path}: ").removeprefix(f"{path.name}: ")
+def files_below(folder: Path) -> list[Path]:
+    """The DNG files of a folder and of all folders in it, by name; hidden files and folders are left alone."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in RAW_SUFFIXES
+        and path.is_file()
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )
 
 
 def measure_files(
-    paths: Sequence[Path], *, read: Reader, role: str | None = None, progress: Progress | None = None
+    paths: Sequence[Path], *, read: Reader, role: str | None = None, asked: Asked | None = None, progress: Progress | None = None
 ) -> FileMeasurement:
-    """Measure loose files; those that cannot be read are listed with their reason.
+    """Measure loose files as the shots of a campaign; those that cannot be read are listed with their reason.
 
     Parameters
     ----------
@@ -126,8 +103,11 @@ def measure_files(
     read : callable
         Path -> Capture.
     role : str, optional
-        ``dark`` and ``flat``: the files together are one series; ``edge``, ``chart``, ``scene``: each
-        file on its own.  Without a role each file is searched for a chart, then for edges.
+        ``dark`` and ``flat``: files of one folder, sensor and ISO are a series, those of one exposure and level one
+        shot; ``edge``, ``chart``, ``scene``: each file is a shot, its target is searched in it.  Without a role each
+        file is searched for a chart, then for edges.
+    asked : Asked, optional
+        Role and options of the estimators.
     progress : callable, optional
 
     Raises
@@ -135,48 +115,100 @@ def measure_files(
     InputError
         If no file can be read.
     """
-    if role in ("dark", "flat"):
-        return _series(paths, read, role, progress)
-    metrics: list[tuple[str, Metric]] = []
-    files: dict[str, Mapping[str, Any]] = {}
-    skipped: list[tuple[str, str]] = []
-    notes: list[str] = []
-    for i, path in enumerate(paths):
-        good, described, bad = readable([path], read)
-        skipped += bad
-        files |= described
-        if good:
-            rows, remarks = measure_one(read(path), role=role)
-            metrics += [(str(path), row) for row in rows]
-            notes += [f"{path.name}: {remark}" for remark in remarks]
-        if progress is not None:
-            progress(f"measuring {path.name}", i + 1, len(paths))
-    return _checked(FileMeasurement(tuple(metrics), files, tuple(skipped), tuple(notes), {"role": role}))
-
-
-def _checked(result: FileMeasurement) -> FileMeasurement:
+    asked = asked or Asked(role)
+    captures = FileCaptures({"": [str(path) for path in paths]}, lambda _, file: _cropped(read(Path(file)), asked))
+    measure = _series if asked.role in SERIES_ROLES else _one_by_one
+    result = measure(paths, captures, asked, progress)
     if not result.files:
         path, reason = result.skipped[0]
         more = f" ({len(result.skipped)} files, all refused)" if len(result.skipped) > 1 else ""
         raise InputError(f"{path}: {reason}{more}")
+    if asked.role is not None and not any(m.family != "plane" for _, m in result.metrics):
+        reasons = "; ".join(result.notes[:3]) or "no reason was given"
+        return replace(result, empty=f"role {asked.role} gave no number: {reasons}")
     return result
 
 
-def measure_one(capture: Capture, *, role: str | None = None) -> tuple[list[Metric], list[str]]:
-    """Metrics of a single capture and remarks: its quality, its chart, else its edges, and the statistics of every plane."""
+def _cropped(capture: Capture, asked: Asked) -> Capture:
+    """The region asked for as a capture of its own, at its place on the sensor; an edge keeps its surroundings."""
+    if asked.roi is None or asked.role == "edge":
+        return capture
+    row0, row1, col0, col1 = check_roi(capture, asked.roi)
+    corner = (capture.window[0] + row0, capture.window[1] + col0)
+    return replace(capture, mosaic=capture.mosaic[row0:row1, col0:col1], window=corner)
+
+
+def _settings(asked: Asked) -> dict[str, Any]:
+    more = {"method": asked.method, "channel": asked.channel, "roi": asked.roi, "gain_dn_per_e": asked.gain_dn_per_e}
+    return {"role": asked.role} | {name: value for name, value in more.items() if value}
+
+
+def _described(capture: Capture, *, briefly: bool) -> dict[str, Any]:
+    from isetval.files.dng import describe_capture
+
+    about = {"provenance": dict(capture.provenance)} if briefly else describe_capture(capture)
+    return about | {"sha256": capture.provenance.get("sha256", "")}
+
+
+def _one_by_one(paths: Sequence[Path], captures: FileCaptures, asked: Asked, progress: Progress | None) -> FileMeasurement:
+    """Edges, charts, scenes, and files of which nothing is known: each a small campaign."""
+    metrics: list[tuple[str, Metric]] = []
+    files: dict[str, Mapping[str, Any]] = {}
+    notes: list[str] = []
+    for i, path in enumerate(paths):
+        capture = captures.take("", str(path))
+        if capture is not None:
+            try:
+                files[str(path)] = _described(capture, briefly=False)
+                rows, remarks = measure_one(capture, path.name, asked)
+            except Exception as error:  # one odd file must not lose the others
+                captures.refuse(str(path), error)
+                files.pop(str(path), None)
+            else:
+                metrics += [(str(path), row) for row in rows]
+                notes += [f"{path.name}: {remark}" for remark in remarks]
+        if progress is not None:
+            progress(f"measuring {path.name}", i + 1, len(paths))
+    return FileMeasurement(tuple(metrics), files, tuple(captures.skipped), tuple(notes), _settings(asked))
+
+
+def measure_one(capture: Capture, name: str, asked: Asked | None = None) -> tuple[list[Metric], list[str]]:
+    """Metrics of one capture and remarks: its quality, the levels of its planes, and what is found in it."""
+    asked = asked or Asked()
     notes = [quality_note(capture)]
-    rows = plane_rows(capture)
-    looks = {"chart": (chart_rows,), "edge": (edge_rows,), "scene": (patch_rows,), None: (chart_rows, edge_rows)}[role]
-    for look in looks:
+    found = find_targets(capture, asked.role, roi=asked.roi, channel=asked.channel)
+    notes += found.notes
+    whole = Shot(name, "flat", window=(*capture.window, *capture.mosaic.shape))  # its role is not known
+    rows = [replace(m, role=asked.role or "") for m in plane_levels(whole, [capture]).metrics]
+    shots = []
+    for target in found.targets:
+        role = "edge" if target.name.startswith("edge") else (asked.role or "chart")
+        label = name if len(found.targets) == 1 else f"{name} {target.name}"
+        shots.append(replace(whole, name=label, setup=label, role=role, target=target, **_options(asked)))
+    if shots:
+        campaign = Campaign(name, tuple(shots), MemoryCaptures({shot.name: (capture,) for shot in shots}))
         try:
-            found, remarks = look(capture)
+            table = measure_campaign(campaign, patches=asked.patches)
         except InputError as error:
-            notes.append(str(error))
-            continue
-        notes += remarks
-        if found:
-            return rows + found, notes
+            return rows, [*notes, str(error)]
+        rows += [_placed(m, shots) for m in _rows(table) if m.family != "plane"]
+        notes += table.notes
     return rows, notes
+
+
+def _options(asked: Asked) -> dict[str, Any]:
+    return {"method": asked.method, "channel": asked.channel}
+
+
+def _rows(table: MetricTable) -> list[Metric]:
+    """The rows with their whole sigma, shared parts included."""
+    return [replace(m, sigma=float(sigma)) for m, sigma in zip(table.metrics, table.sigma, strict=True)]
+
+
+def _placed(row: Metric, shots: Sequence[Shot]) -> Metric:
+    """A row of an edge says where in the capture it lies."""
+    roi = next((getattr(s.target, "roi", None) for s in shots if s.name == row.shot), None)
+    return row if row.region or roi is None else replace(row, region=",".join(map(str, roi)))
 
 
 def quality_note(capture: Capture) -> str:
@@ -190,155 +222,65 @@ def quality_note(capture: Capture) -> str:
     return f"capture quality: {found.verdict}" + (f" ({', '.join(found.reasons)})" if found.reasons else "")
 
 
-def plane_rows(capture: Capture) -> list[Metric]:
-    """Mean above black and standard deviation of all pixels of each plane (a picture's content included)."""
-    rows = []
-    for plane in planes_of(capture):
-        view = plane_view(capture, plane)[0]
-        n, std = view.size, float(view.std(ddof=1, dtype=np.float64)) if view.size > 1 else float("nan")
-        mean = float(view.mean(dtype=np.float64)) - plane_black_dn(capture, plane)
-        rows.append(_row("plane_mean", mean, std / np.sqrt(n), "DN", channel=plane, family="plane"))
-        if n > 1:
-            rows.append(_row("plane_std", std, std / np.sqrt(2 * (n - 1)), "DN", channel=plane, family="plane"))
-    return rows
+def _series(paths: Sequence[Path], captures: FileCaptures, asked: Asked, progress: Progress | None) -> FileMeasurement:
+    """Darks or flats: one campaign, in which each folder, sensor and ISO is a measurement session."""
+    files: dict[str, Mapping[str, Any]] = {}
+    facts: list[FileFacts] = []
+    for i, path in enumerate(paths):
+        capture = captures.look_ahead("", str(path))
+        if capture is not None:
+            try:
+                files[str(path)] = _described(capture, briefly=len(paths) > DESCRIBED)
+                facts.append(facts_of(str(path), str(path.parent), capture))
+            except Exception as error:  # one odd file must not lose the others
+                captures.refuse(str(path), error)
+                files.pop(str(path), None)
+        if progress is not None:
+            progress(f"reading {path.name}", i + 1, len(paths))
+    nothing = FileMeasurement((), files, tuple(captures.skipped), (), _settings(asked))
+    if not facts:
+        return nothing
+    shots = series_shots(facts, asked)
+    campaign = Campaign("loose files", shots, captures.grouped({shot.name: shot.files for shot in shots}))
+    try:
+        table = measure_campaign(campaign, patches=asked.patches)
+    except InputError as error:
+        return replace(nothing, skipped=tuple(captures.skipped), notes=(str(error),))
+    lone = {shot.name: shot.files[0] for shot in shots if len(shot.files) == 1}
+    metrics = tuple((lone.get(m.shot, ""), m) for m in _rows(table))
+    notes = tuple(note for note in table.notes if not note.startswith("file "))
+    return replace(nothing, metrics=metrics, skipped=tuple(captures.skipped), notes=notes)
 
 
-def _row(name: str, value: float, sigma: float, unit: str, **more: Any) -> Metric:
-    return Metric(name=name, value=float(value), sigma=float(sigma), unit=unit, **more)
-
-
-def chart_rows(capture: Capture) -> tuple[list[Metric], list[str]]:
-    """Patch means of a chart that is looked for, noise of each patch, and the mean-variance line of each plane."""
-    from isetval.measure import chart
-
-    result = chart(capture)
-    rows = []
-    for entry in result.rows():
-        place = {"channel": entry["plane"], "patch": entry["patch"], "family": "chart"}
-        rows.append(_row("patch_mean", entry["mean_dn"], entry["sigma_dn"], "DN", **place))
-    for plane, line in result.noise_lines.items():
-        slope = _row("mean_variance_slope", line.slope_dn, line.slope_sigma_dn, "DN", channel=plane, family="chart_noise")
-        offset = _row(
-            "mean_variance_intercept", line.intercept_dn2, line.intercept_sigma_dn2, "DN^2", channel=plane, family="chart_noise"
-        )
-        rows += [slope, offset]
-    words = f"chart found ({result.found_by}), its colours agree {result.confidence:.2f}"
-    clipped, bad = int(result.patches.clipped_pixels.sum()), int(result.patches.bad_pixels.sum())
-    words += f"; in the patches {clipped} clipped and {bad} bad pixels were left out" if bad else f"; {clipped} clipped pixels"
-    return rows, [words, *result.warnings]
-
-
-def edge_rows(capture: Capture) -> tuple[list[Metric], list[str]]:
-    """MTF50 and angle of every slanted edge that is found, for each channel; rejected regions with their reason."""
-    from isetval.measure import find_edges, sfr_batch
-
-    found = find_edges(capture)
-    rows: list[Metric] = []
-    notes = [f"{len(found)} edges accepted, {len(found.rejected)} rejected"]
-    channels = ("R", "G", "B") if capture.sensor.cfa != "MONO" else ("G",)
-    results = {channel: sfr_batch(capture, [tuple(edge) for edge in found], channel) for channel in channels}
-    for number, edge in enumerate(found):
-        label = ",".join(map(str, edge))
-        for channel in channels:
-            result = results[channel][number]
-            if not result.accepted:
-                notes.append(f"edge at {label}, channel {channel}: {', '.join(result.flags)}")
-                continue
-            place = {"channel": channel, "region": label, "family": "edge", "orientation": result.orientation}
-            rows.append(_row("mtf50", result.mtf50_cy_px, result.mtf50_sigma, "cy/px", **place))
-            sigma = float(np.interp(0.25, result.frequency_cy_px, result.mtf_sigma))
-            value = float(np.interp(0.25, result.frequency_cy_px, result.mtf))
-            rows.append(_row("mtf", value, sigma, "1", frequency_cy_px=0.25, **place))
-    notes += [f"edge rejected at {_place(r)}: {_reason(r)}" for r in found.rejected[:20]]
-    return rows, notes
-
-
-def _place(rejected: Any) -> str:
-    roi = getattr(rejected, "roi", None)
-    return ",".join(map(str, roi if roi is not None else tuple(rejected)[:4]))
-
-
-def _reason(rejected: Any) -> str:
-    return str(getattr(rejected, "reason", getattr(rejected, "reasons", "")))
-
-
-def patch_rows(capture: Capture) -> tuple[list[Metric], list[str]]:
-    """Level and spatial noise of uniform regions."""
-    from isetval.measure import uniform_patches
-
-    table = uniform_patches(capture)
-    rows = []
-    for p in table.accepted:
-        place = {"channel": p.channel, "region": ",".join(map(str, p.region)), "family": "uniform_patch"}
-        rows.append(_row("patch_mean", p.mean_dn, p.mean_sigma_dn, "DN", **place))
-        rows.append(_row("patch_spatial_std", p.spatial_std_dn, p.sigma_dn, "DN", **place))
-    return rows, [f"{len(table.accepted)} of {len(table)} regions are uniform"]
-
-
-def _series(paths: Sequence[Path], read: Reader, role: str, progress: Progress | None) -> FileMeasurement:
-    """Darks or flats: one series, grouped by size."""
-    good, files, skipped = readable(paths, read, describe=len(paths) <= 64, progress=progress)
-    result = FileMeasurement((), files, tuple(skipped), (), {"role": role})
-    _checked(result)
-    by_size: dict[tuple[int, ...], list[Path]] = {}
-    for path in good:
-        by_size.setdefault(tuple(files[str(path)].get("shape", ())), []).append(path)
-    metrics: list[tuple[str, Metric]] = []
-    notes: list[str] = []
-    for group in by_size.values():
-        rows, remarks = series_rows(FileSequence(group, read), role)
-        metrics += [("", row) for row in rows]
-        notes += remarks
-    return replace(result, metrics=tuple(metrics), notes=tuple(notes))
-
-
-def series_rows(captures: Sequence[Capture], role: str) -> tuple[list[Metric], list[str]]:
-    """Dark signal of darks; photon transfer and relative illumination of flats."""
-    from isetval.measure import dark, photon_transfer, relative_illumination
-
-    rows: list[Metric] = []
-    notes: list[str] = []
-    analyses: tuple[Callable[[], Iterator[Metric]], ...] = (
-        (lambda: frame_rows(dark(captures).to_frame(), "dark"),)
-        if role == "dark"
-        else (
-            lambda: frame_rows(photon_transfer(captures).to_frame(), "photon_transfer"),
-            lambda: falloff_rows(relative_illumination(captures)),
-        )
-    )
-    for analysis in analyses:
-        try:
-            rows += list(analysis())
-        except InputError as error:
-            notes.append(str(error))
-    return rows, notes
-
-
-def frame_rows(frame: pd.DataFrame, family: str) -> Iterator[Metric]:
-    """Rows of a table with plane, name, value, sigma, unit, flags."""
-    for row in frame.to_dict("records"):
-        value, sigma = float(row["value"]), float(row["sigma"])
-        if np.isfinite(value):
-            place = {"channel": str(row["plane"]), "family": family, "reason": str(row["flags"])}
-            yield _row(str(row["name"]), value, sigma, str(row["unit"]), **place)
-
-
-def falloff_rows(result: Any) -> Iterator[Metric]:
-    """Relative illumination over radius for every plane, at eleven radii."""
-    for plane, falloff in result.planes.items():
-        at = np.linspace(0, len(falloff.radius_mm) - 1, 11).round().astype(int)
-        for i in at:
-            yield _row(
-                "relative_illumination",
-                falloff.curve[i],
-                falloff.sigma[i],
-                "1",
-                channel=plane,
-                family="relative_illumination",
-                field_x_mm=float(falloff.radius_mm[i]),
-                field_y_mm=0.0,
-                region=f"r={falloff.radius_mm[i]:.3f} mm",
-            )
+def series_shots(facts: Sequence[FileFacts], asked: Asked) -> tuple[Shot, ...]:
+    """Shots of loose darks or flats: files of one folder, sensor, ISO, window, exposure and level are frames of one."""
+    role = asked.role or "flat"
+    sessions: dict[Any, dict[Any, list[FileFacts]]] = {}
+    for fact in facts:
+        series = sessions.setdefault((fact.folder, fact.scale), {})
+        series.setdefault((fact.window, fact.exposure.time_s), []).append(fact)
+    common = os.path.commonpath([fact.folder for fact in facts])
+    shots: list[Shot] = []
+    for number, ((folder, (sensor, iso)), series) in enumerate(sessions.items(), 1):
+        several = len(sessions) > 1
+        label = f"{os.path.relpath(folder, common)}, ISO {iso}, {sensor.rows} x {sensor.cols}" if several else "A"
+        for (window, _), same in series.items():
+            for group in by_level(same):
+                name = f"{role}_{len(shots) + 1:02d}"
+                shots.append(
+                    Shot(
+                        name,
+                        role,
+                        setup=f"series {number}",
+                        measurement_session=label,
+                        exposure=group[0].exposure,
+                        frames=len(group),
+                        window=window,
+                        files=tuple(f.file for f in group),
+                        **_options(asked),
+                    )
+                )
+    return tuple(shots)
 
 
 def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None) -> Reader:

@@ -113,7 +113,7 @@ def _plan(plan: Campaign, shots: Sequence[Shot], label: str, *, setup: str | Non
     for i, shot in enumerate(shots):
         own = f"{label} {i}" if setup is None else label
         new.append(replace(shot, name=f"{label} {i}", setup=own, repeat_of=None, files=(), **changes))  # type: ignore[arg-type]
-    return replace(plan, shots=tuple(new), captures={}, folder=None)
+    return replace(plan.as_plan(), shots=tuple(new), folder=None)
 
 
 def next_captures(problem: Problem, fitted: Fit, pairs: Sequence[tuple[Signature, Signature]]) -> list[NextCapture]:

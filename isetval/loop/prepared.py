@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 
@@ -11,7 +11,6 @@ from isetval.camera.shooting import check_sensor
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
-from isetval.files.captures import forgiving
 from isetval.loop.fit import Fit, far_values, fit, nuisance_parameters
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.problem import Problem, make_problem
@@ -100,27 +99,24 @@ def prepare(
         raise InputError(f"campaign {campaign.name} has no captures; simulate it, or put the files of its shots beside it")
     check_sensor(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
-    readable, skipped = forgiving(campaign)
-    table = table or measure_campaign(readable, summaries=False)
-    campaign, table = _without_broken(campaign, table, skipped)
+    table = table or measure_campaign(campaign, summaries=False)
+    campaign = _without_broken(campaign)
     predictor = Predictor(campaign, table, jobs=jobs)
     say(f"simulating the plan with {model.name}")
     return Prepared(model, campaign, table, make_problem(predictor, Point(model)))
 
 
-def _without_broken(campaign: Campaign, table: MetricTable, skipped: Sequence[tuple[str, str]]) -> tuple[Campaign, MetricTable]:
-    """The plan of what was measured: broken files are taken out of their shots and listed in the notes."""
-    if not skipped:
-        return campaign, table
-    broken = {file for file, _ in skipped}
+def _without_broken(campaign: Campaign) -> Campaign:
+    """The plan of what was measured: files that could not be read are taken out of their shots."""
+    broken = {file for file, _ in campaign.captures.skipped}
+    if not broken:
+        return campaign
 
     def mended(shot: Shot) -> Shot:
         files = tuple(file for file in shot.files if file not in broken)
         return replace(shot, files=files, frames=max(1, len(files)))
 
-    notes = tuple(f"file {file} left out: {reason}" for file, reason in dict(skipped).items())
-    shots = tuple(mended(shot) for shot in campaign.shots)
-    return replace(campaign, shots=shots), replace(table, notes=(*table.notes, *notes))
+    return replace(campaign, shots=tuple(mended(shot) for shot in campaign.shots))
 
 
 def split_sessions(campaign: Campaign, holdout: Campaign | None) -> tuple[Campaign, Campaign | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -13,10 +13,11 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, MetricTable
-from isetval.measure.patchsummary import patch_summary
+from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
 
 Progress = Callable[[str, int, int], None]
+HELD_PIXELS = 400_000_000  # 800 MB of frames kept for the summaries of a session; what is beyond is decoded again
 
 
 @cache
@@ -50,60 +51,79 @@ def measure_campaign(
         Called as ``progress(shot name, done, all)``.
     summaries : bool
         Add what people quote of a session (conversion gain, read noise, PRNU, DSNU, dark current per
-        plane; noise of uniform patches of charts and scenes), marked ``summary``.
+        plane) and of a shot (levels of the planes, MTF50, noise of patches), marked ``summary``.
     patches : mapping, optional
         Arguments of `uniform_patches` for those, for instance ``method="lyu2022"`` with ``gain_dn_per_e``.
 
     Returns
     -------
     MetricTable
-        Shots that cannot be measured are left out and listed in ``notes`` with their reason.
+        What cannot be measured is left out and listed in ``notes`` with its reason: files, analyses of a shot, shots.
 
     Raises
     ------
     InputError
         If no shot of the campaign can be measured.
     """
-    blocks: list[Block] = []
-    patch_blocks: list[Block] = []
     notes: list[str] = []
+    blocks: list[Block] = []
+    about: list[Block] = []
     frames: dict[str, Sequence[Capture]] = {}
     made: dict[str, Any] = {}
+    held = 0
     for i, shot in enumerate(campaign.shots):
-        try:
-            captures = campaign.captures.get(shot.name, ())
-            if not captures:
-                raise InputError("it has no captures (a plan cannot be measured; simulate it first)")
-            if summaries and wanted(shot, captures):
-                frames[shot.name] = captures
-            for name, block in measure_shot(shot, captures, choices=choices):
+        captures = campaign.captures.read(shot.name)
+        if captures:
+            for name, block in _analyzed(shot, captures, choices or {}, notes):
                 blocks.append(block)
                 if block.choices:
                     made[f"{shot.name}/{name}"] = dict(block.choices)
             if summaries:
-                patch_blocks.append(_patches(shot, captures, patches, notes))
-        except InputError as error:
-            notes.append(f"shot {shot.name} left out: {error}")
+                about += shot_summaries(shot, captures, notes, patches=patches)
+            if summaries and wanted(shot):
+                held += sum(capture.mosaic.size for capture in captures) if held < HELD_PIXELS else 0
+                frames[shot.name] = captures if held <= HELD_PIXELS else campaign.captures.later(shot.name)
+        else:
+            notes.append(f"shot {shot.name} left out: {_why_none(campaign, shot)}")
         if progress is not None:
             progress(shot.name, i + 1, len(campaign.shots))
-    if not blocks:
+    if not blocks and not about:
         raise InputError(
             f"campaign {campaign.name}: no shot could be measured; first reason: {notes[0] if notes else 'it has no shots'}"
         )
     if summaries:
         more, remarks = session_summaries(campaign, frames)
-        blocks += [*more, *(block for block in patch_blocks if block.metrics)]
+        blocks += [*more, *about]
         notes += remarks
-    return MetricTable(tuple(blocks), choices=made, notes=tuple(notes), settings={"campaign": campaign.name})
+    notes += [f"file {file} left out: {reason}" for file, reason in campaign.captures.skipped]
+    table = MetricTable(tuple(blocks), choices=made, notes=tuple(notes), settings={"campaign": campaign.name})
+    return table if summaries else table.select(i for i, m in enumerate(table.metrics) if not m.summary)
 
 
-def _patches(shot: Shot, captures: Sequence[Capture], options: Mapping[str, Any] | None, notes: list[str]) -> Block:
-    """Uniform patches of a shot, or none with a note of the reason."""
-    try:
-        return patch_summary(shot, captures, options)
-    except InputError as error:
-        notes.append(f"shot {shot.name}: no uniform patches: {error}")
-        return Block(())
+def _why_none(campaign: Campaign, shot: Shot) -> str:
+    """Why a shot has no captures."""
+    reasons = dict(campaign.captures.skipped)
+    broken = [f"{file}: {reasons[file]}" for file in shot.files if file in reasons]
+    if broken:
+        return f"none of its {len(shot.files)} files can be used; the first: {broken[0]}"
+    return "it has no captures (a plan cannot be measured; simulate it first)"
+
+
+def _analyzed(
+    shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any], notes: list[str]
+) -> Iterator[tuple[str, Block]]:
+    """Blocks of all analyses of a shot; one that refuses or breaks leaves a note and does not lose the others."""
+    for module in analyses(shot.role):
+        name = module.__name__.rsplit(".", 1)[-1]
+        try:
+            block: Block = module.analyze(shot, captures, choices.get(f"{shot.name}/{name}", {}))
+        except InputError as error:
+            notes.append(f"shot {shot.name}: no {name.replace('_', ' ')}: {error}")
+        except Exception as error:  # an analysis of somebody's own must not lose the others' numbers
+            notes.append(f"shot {shot.name}: analysis {name} broke ({type(error).__name__}: {error}); please report it")
+        else:
+            if block.metrics:
+                yield name, block
 
 
 def measure_shot(shot: Shot, captures: Sequence[Capture], *, choices: Mapping[str, Any] | None = None) -> list[tuple[str, Block]]:

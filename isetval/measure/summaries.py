@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -17,21 +17,18 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture, planes_of
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric
+from isetval.core.quantity import Quantity
 from isetval.measure.noise import dark, photon_transfer
 from isetval.measure.shading import relative_illumination
 
-MAX_FRAME_PX = 300_000
 LEAST_PLACES = 6
-TRANSFER = {"gain_dn_per_e": "DN/e-", "read_noise_e": "e-", "prnu": "%"}
-DARK = {"black_level_dn": "DN", "read_noise_dn": "DN", "dsnu_dn": "DN", "dark_current_dn_per_s": "DN/s"}
-
 
 Frames = Mapping[str, Sequence[Capture]]
 
 
-def wanted(shot: Shot, captures: Sequence[Capture]) -> bool:
-    """Whether a shot's frames are small enough and of a role to be kept for the summaries."""
-    return shot.role in ("dark", "flat") and bool(captures) and captures[0].mosaic.size <= MAX_FRAME_PX
+def wanted(shot: Shot) -> bool:
+    """Whether a shot's frames are kept for the summaries of its session."""
+    return shot.role in ("dark", "flat")
 
 
 def session_summaries(campaign: Campaign, frames: Frames) -> tuple[list[Block], list[str]]:
@@ -41,7 +38,7 @@ def session_summaries(campaign: Campaign, frames: Frames) -> tuple[list[Block], 
     ----------
     campaign : Campaign
     frames : mapping
-        Captures by shot, those that `wanted` kept while the shots were measured.
+        Captures by shot, of those that are `wanted`.
 
     Returns
     -------
@@ -50,31 +47,70 @@ def session_summaries(campaign: Campaign, frames: Frames) -> tuple[list[Block], 
     notes : list of str
         What could not be derived, with the reason.
     """
-    blocks, notes = [], []
+    blocks: list[Block] = []
+    notes: list[str] = []
     for session in campaign.sessions:
         shots = [s for s in campaign.shots if s.measurement_session == session and s.role in ("dark", "flat")]
         rows: list[Metric] = []
-        try:
-            darks, flats = (_same_window(frames, shots, role) for role in ("dark", "flat"))
-            if darks:
-                rows += _rows(dark(darks), DARK, session, "dark")
-            if len(flats) > 2:
-                rows += _rows(photon_transfer(flats, dark=darks or None), TRANSFER, session, "flat")
-            rows += _falloff_rows(frames, shots, session)
-        except InputError as error:
-            notes.append(f"session {session}: no summary: {error}")
+        for make in (_dark_rows, _transfer_rows, _falloff_rows):
+            try:
+                known = {row.key() for row in rows}
+                rows += [row for row in make(frames, shots, session) if row.key() not in known]
+            except InputError as error:
+                notes.append(f"session {session}: no summary: {error}")
+            except Exception as error:  # what people quote must not lose what was measured
+                notes.append(f"session {session}: a summary broke ({type(error).__name__}: {error}); please report it")
         if rows:
             blocks.append(Block(tuple(rows)))
     return blocks, notes
 
 
-def _same_window(frames: Frames, shots: Sequence[Shot], role: str) -> list[Capture]:
-    """Frames of the role's most used window."""
+def _dark_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[Metric]:
+    darks = _same_window(frames, shots, "dark")
+    return _rows(dark(darks), session, "dark") if darks else []
+
+
+def _transfer_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[Metric]:
+    darks, flats = (_same_window(frames, shots, role) for role in ("dark", "flat"))
+    if len(flats) < 3:
+        return []
+    methods = {shot.method for shot in shots if shot.role == "flat" and shot.method} or {"default"}
+    if len(methods) > 1:
+        raise InputError(f"its flats ask for {' and '.join(sorted(methods))}; one photon transfer needs one method")
+    return _rows(photon_transfer(flats, dark=darks or None, method=methods.pop()), session, "flat")
+
+
+def _same_window(frames: Frames, shots: Sequence[Shot], role: str) -> Sequence[Capture]:
+    """Frames of the role's most used window, in memory or one after another as they are looked at."""
     own = [s for s in shots if s.role == role and s.name in frames]
     if not own:
-        return []
+        return ()
     window = Counter(s.window for s in own).most_common(1)[0][0]
-    return [capture for s in own if s.window == window for capture in frames[s.name]]
+    return Chain([frames[s.name] for s in own if s.window == window])
+
+
+class Chain(Sequence[Capture]):
+    """Series one after another as one, without looking at any frame."""
+
+    def __init__(self, parts: Sequence[Sequence[Capture]]) -> None:
+        self._parts = tuple(parts)
+
+    @overload
+    def __getitem__(self, index: int) -> Capture: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Capture]: ...
+    def __getitem__(self, index: int | slice) -> Capture | Sequence[Capture]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        place = range(len(self))[index]
+        for part in self._parts:
+            if place < len(part):
+                return part[place]
+            place -= len(part)
+        raise IndexError(index)
+
+    def __len__(self) -> int:
+        return sum(map(len, self._parts))
 
 
 def _falloff_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[Metric]:
@@ -107,25 +143,26 @@ def _falloff_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[M
     return rows
 
 
-def _rows(result: Any, names: dict[str, str], session: str, role: str) -> list[Metric]:
+def _rows(result: Any, session: str, role: str) -> list[Metric]:
+    """Every quantity of a result, by plane, with what it is doubted for."""
     rows = []
     for plane in result:
-        for name, unit in names.items():
-            quantity = getattr(result[plane], name, None)
-            value, sigma = getattr(quantity, "value", math.nan), getattr(quantity, "total_sigma", math.nan)
-            if math.isfinite(value) and math.isfinite(sigma):
-                rows.append(
-                    Metric(
-                        name,
-                        float(value),
-                        float(sigma),
-                        unit,
-                        f"summary_{name}",
-                        plane,
-                        role=role,
-                        measurement_session=session,
-                        region=f"session {session}",
-                        summary=True,
-                    )
+        for name, quantity in vars(result[plane]).items():
+            if not isinstance(quantity, Quantity) or not math.isfinite(quantity.value + quantity.total_sigma):
+                continue
+            rows.append(
+                Metric(
+                    name,
+                    float(quantity.value),
+                    float(quantity.total_sigma),
+                    quantity.unit,
+                    f"summary_{name}",
+                    plane,
+                    role=role,
+                    measurement_session=session,
+                    region=f"session {session}",
+                    reason=" ".join(result[plane].flags),
+                    summary=True,
                 )
+            )
     return rows

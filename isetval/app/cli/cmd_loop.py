@@ -82,15 +82,15 @@ def default_jobs() -> int:
 
 
 def load_both(model: str, campaign: str) -> tuple[CameraModel, Campaign, dict[str, str]]:
-    """A model, a campaign and the hashes of their files."""
+    """A model, a campaign and the hashes of their own files; those of captures are known once they are measured."""
     import isetval
     from isetval.core.hashing import file_hash
-    from isetval.files.captures import hashes
+    from isetval.files.captures import input_hashes
 
     loaded = isetval.load_model(model)
     shots = isetval.load_campaign(campaign, camera=loaded)
     file = Path(model) / "camera.toml" if Path(model).is_dir() else Path(model)
-    return loaded, shots, {str(file): file_hash(file)} | hashes(shots)
+    return loaded, shots, {str(file): file_hash(file)} | input_hashes(shots)
 
 
 def simulate(args: argparse.Namespace, console: Console) -> Outcome:
@@ -143,6 +143,7 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     models = [model, *(isetval.load_model(m) for m in args.models[1:])]
     inputs |= {m: file_hash(m) for m in args.models if Path(m).is_file()}
     found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say)
+    inputs |= campaign.captures.hashes
     result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
     faults = broken(limits, result["ladder"])
     lines = comparison_lines(result) + [f"outside limits: {fault}" for fault in faults]
@@ -178,14 +179,13 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
     """Name the physical effect that the model lacks (or say that none of the known ones explains the captures)."""
     import isetval
     from isetval.app.cli.loopwords import diagnosis_lines
-    from isetval.files.captures import hashes
+    from isetval.files.captures import input_hashes
 
     model, campaign, inputs = load_both(args.model, args.campaign)
-    holdout = None
-    if args.holdout:
-        holdout = isetval.load_campaign(args.holdout, camera=model)
-        inputs |= hashes(holdout)
+    holdout = isetval.load_campaign(args.holdout, camera=model) if args.holdout else None
     found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say)
+    inputs |= campaign.captures.hashes
+    inputs |= input_hashes(holdout) if holdout is not None else {}
     result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}
     result |= found.to_json()
     hint = {"model": args.model, "diagnosis": args.output or "d.json"}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.cli.console import Console
-from isetval.app.cli.outcome import FINE, OUTSIDE_LIMITS, Outcome
+from isetval.app.cli.outcome import BAD_INPUT, FINE, OUTSIDE_LIMITS, Outcome
 
 if TYPE_CHECKING:
     from isetval.core.metric import Metric, MetricTable
@@ -29,6 +29,10 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     )
     p.add_argument("paths", nargs="+", metavar="PATH", type=Path, help="DNG files, folders, or a folder with campaign.toml")
     p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "scene"), help="what the files show")
+    p.add_argument("--method", default="", help="another method than the estimators' own: iso12233:2017, iso12233:2023, lyu2022")
+    p.add_argument("--channel", default="", help="one channel of edges and scenes: R, Gr, Gb, B or G (both greens)")
+    p.add_argument("--roi", metavar="R0,R1,C0,C1", type=region, help="rows R0 to R1 and columns C0 to C1 of each file, half open")
+    p.add_argument("--gain-dn-per-e", type=float, metavar="K", help="stated conversion gain, for --role scene --method lyu2022")
     p.add_argument(
         "--black",
         choices=("auto", "tag", "optical"),
@@ -49,6 +53,14 @@ def raw_shape(text: str) -> tuple[int, int]:
     if not found:
         raise argparse.ArgumentTypeError(f"{text!r} is no size; write ROWSxCOLS, as 3024x4032")
     return int(found[1]), int(found[2])
+
+
+def region(text: str) -> tuple[int, int, int, int]:
+    """``r0,r1,c0,c1`` as four numbers, half open."""
+    found = re.fullmatch(r"(\d+),(\d+),(\d+),(\d+)", text.replace(" ", ""))
+    if not found or not (int(found[1]) < int(found[2]) and int(found[3]) < int(found[4])):
+        raise argparse.ArgumentTypeError(f"{text!r} is no region; write r0,r1,c0,c1 with r0 < r1 and c0 < c1, as 100,200,40,160")
+    return int(found[1]), int(found[2]), int(found[3]), int(found[4])
 
 
 def shard(text: str) -> tuple[int, int]:
@@ -96,12 +108,14 @@ def _raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:
 
 def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
-    from isetval.files.captures import forgiving, hashes
+    from isetval.files.captures import input_hashes
 
     path = args.paths[0]
+    _refuse_options(args, path)
     console.say(f"reading {path}")
-    campaign, skipped = forgiving(isetval.load_campaign(path))
+    campaign = isetval.load_campaign(path)
     table = isetval.measure_campaign(campaign, progress=console.progress)
+    skipped = campaign.captures.skipped
     rows = [metric_row(m, sigma) for m, sigma in zip(table.metrics, table.sigma, strict=True)]
     result = {
         "kind": "measure",
@@ -111,10 +125,22 @@ def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
         "notes": list(table.notes),
         "settings": dict(table.settings) | {"choices": dict(table.choices)},
     }
-    return Outcome(result, _campaign_lines(table, skipped), FINE, hashes(campaign), rows)
+    return Outcome(result, _campaign_lines(table), FINE, input_hashes(campaign), rows)
 
 
-def _campaign_lines(table: MetricTable, skipped: Iterable[tuple[str, str]]) -> list[str]:
+def _refuse_options(args: argparse.Namespace, path: Path) -> None:
+    """A campaign states the options of its estimators shot by shot."""
+    from isetval.core.errors import InputError
+
+    given = {"--method": args.method, "--channel": args.channel, "--roi": args.roi, "--gain-dn-per-e": args.gain_dn_per_e}
+    if named := [name for name, value in given.items() if value]:
+        raise InputError(
+            f"{path}: a campaign states method and channel in its [[shot]] tables and regions in its targets; "
+            f"leave out {', '.join(named)}, or add --role to measure the files without their campaign"
+        )
+
+
+def _campaign_lines(table: MetricTable) -> list[str]:
     from isetval.app.cli.tables import text_table
 
     families: dict[tuple[str, str], list[Metric]] = {}
@@ -127,7 +153,7 @@ def _campaign_lines(table: MetricTable, skipped: Iterable[tuple[str, str]]) -> l
         for (role, family), rows in families.items()
     ]
     lines += text_table(("role", "family", "n", "shots", "unit"), body)
-    return lines + _doubt_lines(skipped, table.notes)
+    return lines + _doubt_lines((), table.notes)
 
 
 def _doubt_lines(skipped: Iterable[tuple[str, str]], notes: Iterable[str]) -> list[str]:
@@ -142,7 +168,7 @@ def metric_row(m: Metric, sigma: float, *, file: str = "") -> dict[str, Any]:
 
 
 def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str, Any] | None) -> Outcome:
-    from isetval.files.loose_files import file_reader, measure_files, raw_files
+    from isetval.files.loose_files import Asked, file_reader, measure_files, raw_files
 
     paths = raw_files(args.paths)
     if args.shard:
@@ -151,7 +177,8 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
     single = len(paths) == 1
     black = args.black or ("auto" if single else "tag")
     console.say(f"measuring {len(paths)} files")
-    found = measure_files(paths, read=file_reader(black=black, raw=raw), role=args.role, progress=console.progress)
+    asked = Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e)
+    found = measure_files(paths, read=file_reader(black=black, raw=raw), asked=asked, progress=console.progress)
     rows = [metric_row(m, m.sigma, file=file) for file, m in found.metrics]
     result = {
         "kind": "measure",
@@ -162,7 +189,8 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
         "settings": dict(found.settings) | {"black": black, "raw": raw},
     }
     hashes = {file: str(about["sha256"]) for file, about in found.files.items()}
-    return Outcome(result, _file_lines(found, brief=not single), FINE, hashes, rows)
+    lines = [*_file_lines(found, brief=not single), *([found.empty] if found.empty else [])]
+    return Outcome(result, lines, BAD_INPUT if found.empty else FINE, hashes, rows)
 
 
 def _file_lines(found: FileMeasurement, *, brief: bool) -> list[str]:

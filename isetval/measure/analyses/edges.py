@@ -34,7 +34,8 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     """
     conditions = shot_conditions(shot, captures[0].sensor) | {"orientation": getattr(shot.target, "orientation", "")}
     roi = getattr(shot.target, "roi", None)
-    channels = ("MONO",) if captures[0].sensor.cfa == "MONO" else ("R", "G", "B")
+    channels = ("MONO",) if captures[0].sensor.cfa == "MONO" else ((shot.channel,) if shot.channel else ("R", "G", "B"))
+    method = shot.method or "default"
     made: dict[str, Any] = {}
     rows: list[Metric] = []
     blocks: list[Float] = []
@@ -44,11 +45,13 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         known = choices.get(channel)
         plane = "G" if channel == "MONO" else channel
         first = len(captures) if known else 1  # without choices the first frame makes them for the others
-        results = sfr_batch(captures[:first], [roi] * first, plane, choices=known)
+        results = sfr_batch(captures[:first], [roi] * first, plane, method=method, choices=known)
         if results[0].accepted:
             known = known or dict(results[0].choices)
             rest = captures[first:]
-            results = [r for r in (*results, *sfr_batch(rest, [roi] * len(rest), plane, choices=known)) if r.accepted]
+            results = [
+                r for r in (*results, *sfr_batch(rest, [roi] * len(rest), plane, method=method, choices=known)) if r.accepted
+            ]
         if not results[0].accepted:
             reasons.append(f"{channel}: {', '.join(results[0].messages.values()) or ', '.join(results[0].flags)}")
             continue
@@ -68,7 +71,7 @@ def _channel(
 ) -> tuple[list[Metric], Float, tuple[float, float]]:
     n = len(results)
     mtf = np.mean([r.mtf_at(FREQUENCY_CY_PX) for r in results], axis=0)
-    covariance = np.mean([r.mtf_covariance(FREQUENCY_CY_PX, kind="sampling") for r in results], axis=0) / n
+    covariance = np.mean([_covariance(r) for r in results], axis=0) / n
     sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-14))
     rows = [
         metric(conditions, "mtf", value, s, "1", channel=channel, frequency_cy_px=round(float(f), 4))
@@ -77,7 +80,13 @@ def _channel(
     for name, unit in (("dark_dn", "DN"), ("bright_dn", "DN")):
         value = float(np.mean([getattr(r, name) for r in results]))
         spread = math.sqrt(np.mean([getattr(r, name.replace("_dn", "_sigma_dn")) ** 2 for r in results]) / n)
-        rows.append(metric(conditions, f"edge_{name.removesuffix('_dn')}_level", value, max(spread, 1e-4), unit, channel=channel))
+        if math.isfinite(spread):  # published procedures state no sigma of their levels
+            level = f"edge_{name.removesuffix('_dn')}_level"
+            rows.append(metric(conditions, level, value, max(spread, 1e-4), unit, channel=channel))
+    if all(math.isfinite(r.mtf50_cy_px) for r in results):
+        # derived from the same curve: for people, and its sigma holds what is common to all frames
+        value, own = float(np.mean([r.mtf50_cy_px for r in results])), float(np.mean([r.mtf50_sigma for r in results]))
+        rows.append(metric(conditions, "mtf50", value, own, "cy/px", channel=channel, family="summary_mtf50", summary=True))
     correlation = np.eye(len(rows))
     k = len(sigma)
     correlation[:k, :k] = (1 - ROUGHNESS) * covariance / np.outer(sigma, sigma)
@@ -88,13 +97,20 @@ def _channel(
     return rows, correlation, (place, place_sigma)
 
 
+def _covariance(result: SfrResult) -> Float:
+    """Sampling covariance of the SFR; of the published procedures, which give sigmas alone, a diagonal one."""
+    if result.method == "default":
+        return np.asarray(result.mtf_covariance(FREQUENCY_CY_PX, kind="sampling"))
+    return np.asarray(np.diag(np.interp(FREQUENCY_CY_PX, result.frequency_cy_px, result.mtf_sigma) ** 2))
+
+
 def _lateral_color(conditions: dict[str, Any], places: Mapping[str, tuple[float, float]]) -> list[Metric]:
     """Shift of the red and blue edge against the green one, in px; the pose of the chart cancels."""
     if "G" not in places:
         return []
     rows = []
     for channel in ("R", "B"):
-        if channel in places:
+        if channel in places and math.isfinite(places[channel][1] + places["G"][1]):
             shift = places[channel][0] - places["G"][0]
             sigma = math.hypot(places[channel][1], places["G"][1])
             rows.append(metric(conditions, "lateral_color", shift, max(sigma, 1e-5), "px", channel=channel))
