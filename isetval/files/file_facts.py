@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.core.region import Window
 from isetval.core.sensor import Exposure, Sensor
 
 LEVEL_STEP = 0.02  # lamps flicker by less, and steps of light that a person sets are larger
@@ -27,7 +28,7 @@ class FileFacts:
     file: str
     folder: str
     sensor: Sensor
-    window: tuple[int, int, int, int]
+    window: Window
     exposure: Exposure
     levels_dn: tuple[float, ...]
     level_sigma_dn: float
@@ -58,7 +59,7 @@ def facts_of(file: str, folder: str, capture: Capture) -> FileFacts:
         file,
         folder,
         capture.sensor,
-        (*capture.window, capture.mosaic.shape[0], capture.mosaic.shape[1]),
+        Window(*capture.window, *capture.mosaic.shape),
         capture.exposure,
         tuple(levels),
         max(sigmas),

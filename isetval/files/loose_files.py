@@ -13,6 +13,7 @@ from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.metric import Metric, MetricTable
+from isetval.core.region import Window
 from isetval.files.captures import FileCaptures
 from isetval.files.file_facts import FileFacts, by_level, facts_of
 from isetval.files.target_search import find_targets
@@ -178,7 +179,7 @@ def measure_one(capture: Capture, name: str, asked: Asked | None = None) -> tupl
     notes = [quality_note(capture)]
     found = find_targets(capture, asked.role, roi=asked.roi, channel=asked.channel)
     notes += found.notes
-    whole = Shot(name, "flat", window=(*capture.window, *capture.mosaic.shape))  # its role is not known
+    whole = Shot(name, "flat", window=Window(*capture.window, *capture.mosaic.shape))  # its role is not known
     rows = [replace(m, role=asked.role or "") for m in plane_levels(whole, [capture]).metrics]
     shots = []
     for target in found.targets:

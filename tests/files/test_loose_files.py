@@ -248,7 +248,7 @@ def test_method_roi_and_channel_reach_the_edge(capsys, tmp_path, edge_capture):
 @pytest.mark.parametrize(("angle_deg", "dark_side"), [(5.3, "low"), (-4.1, "high")])
 def test_a_found_edge_says_its_angle_and_dark_side(orientation, angle_deg, dark_side):
     (target,) = find_targets(edge_of(EdgeTarget("edge", angle_deg, orientation, (3.0, -7.0), dark_side)), "edge").targets
-    assert target.angle_deg == pytest.approx(angle_deg, abs=0.2)  # of the finder's line through pixels
+    assert target.angle_deg == pytest.approx(angle_deg, abs=0.3)  # of the finder's line through pixels
     assert (target.orientation, target.dark_side) == (orientation, dark_side)
 
 
