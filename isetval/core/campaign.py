@@ -30,6 +30,9 @@ SHOT_NUISANCES = {
     "target_tilt_x": NuisanceKind("relative", "rise of a target's brightness along x from its middle to the window's border"),
     "target_tilt_y": NuisanceKind("relative", "rise of a target's brightness along y from its middle to the window's border"),
     "dark_reflectance": NuisanceKind("reflectance", "reflectance added to black elements"),
+    "qe_red": NuisanceKind("relative", "quantum efficiency of red in this light times (1 + value)"),
+    "qe_green": NuisanceKind("relative", "quantum efficiency of green (or of MONO) in this light times (1 + value)"),
+    "qe_blue": NuisanceKind("relative", "quantum efficiency of blue in this light times (1 + value)"),
     "wall_albedo": NuisanceKind("relative", "reflectance of the side walls of a rendered scene times (1 + value)"),
 }
 

@@ -82,6 +82,12 @@ def _table(path: str, changed_ns: int) -> tuple[Spectrum, ...]:
     return tuple(spectra[channel] for channel in CHANNELS)
 
 
+def _known_to(context: Context, channels: int) -> Float:
+    """Factors (channels, 1, 1) by which a laboratory does not know the quantum efficiency in the light of this shot."""
+    names = ("qe_red", "qe_green", "qe_blue") if channels == 3 else ("qe_green",)
+    return np.array([1 + context.get(name) for name in names])[:, None, None]
+
+
 def _trapezoid(grid: Float) -> Float:
     """Integration weights (bands,) in nm; one band alone counts 1 nm."""
     if grid.size == 1:
@@ -146,7 +152,7 @@ class QuantumEfficiency(Effect):
         for node in np.union1d(nodes, nodes + 1) if shift is not None else nodes:
             weight = 1.0 if shift is None else np.maximum(0.0, 1 - np.abs(shift - node))
             total = total + weight * np.tensordot((self.curves(context, grid - node) + leak) * photons, values, axes=1)
-        return signal.with_values(np.asarray(total), "electron")
+        return signal.with_values(np.asarray(total) * _known_to(context, len(total)), "electron")
 
 
 @dataclass(frozen=True, kw_only=True)

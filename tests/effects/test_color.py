@@ -146,3 +146,10 @@ def test_changes_of_the_filters_add_up(place, light):
     moved = CfaAngleShift(delta_nm=-4.0).apply(twice, place())
     np.testing.assert_allclose(moved.filters.shift_nm, -4.0 * place().field_radius() ** 2)
     assert moved.filters.leak == twice.filters.leak
+
+
+def test_a_laboratory_may_not_know_the_sensitivity_in_a_light(place, light, quantum):
+    qe = quantum("wavelength_nm,R,G,B", [(400, 0.2, 0.3, 0.4), (700, 0.2, 0.3, 0.4)])
+    known = qe.apply(light(), place()).values[:, 0, 0]
+    other = qe.apply(light(), place(nuisance={"qe_red": 0.1, "qe_blue": -0.2})).values[:, 0, 0]
+    np.testing.assert_allclose(other / known, [1.1, 1.0, 0.8])
