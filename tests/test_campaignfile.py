@@ -172,7 +172,7 @@ def test_a_faulty_campaign_is_refused_by_name(folder, old, new, said):
     ("old", "new", "said"),
     [
         ("exposure_s = 0.0123\niso = 100", "exposure_s = 0.0223\niso = 100", "time_s"),
-        ("window = [1001, 2001, 40, 42]", "window = [1000, 2001, 40, 42]", "colour pattern"),
+        ("window = [1001, 2001, 40, 42]", "window = [1000, 2001, 40, 42]", "begins at sensor pixel"),
         ("white_dn = 1023.0", "white_dn = 1000.0", "white level"),
     ],
 )

@@ -40,8 +40,10 @@ def tiles(mosaic, height, width):
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("compression", [1, 7])
-def test_tiles(make_dng, order, compression):
-    mosaic = random_mosaic()
+@pytest.mark.parametrize("shape", [(40, 50), (48, 64), (64, 96), (40, 32)])
+def test_tiles(make_dng, order, compression, shape):
+    """With 64 columns, two tiles of two components, LibRaw 0.22 alone spoils every second row."""
+    mosaic = random_mosaic(*shape)
     parts = tiles(mosaic, 16, 32)
     pieces = [p.astype(order + "u2").tobytes() if compression == 1 else lossless_jpeg(p, components=2) for p in parts]
     path = make_dng(mosaic, order=order, pieces=pieces, t259=(3, [compression]), t322=(3, [32]), t323=(3, [16]), t278=None)
@@ -53,6 +55,31 @@ def test_lossless_jpeg(make_dng, bits, components):
     mosaic = random_mosaic(high=2**bits)
     piece = lossless_jpeg(mosaic, bits=bits, components=components)
     np.testing.assert_array_equal(read_dng(make_dng(mosaic, pieces=[piece], t259=(3, [7]))).mosaic, mosaic)
+
+
+@pytest.mark.parametrize(("rows_per_strip", "components"), [(7, 1), (8, 2), (20, 2), (1, 1)])
+def test_strips_of_lossless_jpeg(make_dng, rows_per_strip, components):
+    """LibRaw alone reads the first strip only."""
+    mosaic = random_mosaic()
+    pieces = [lossless_jpeg(mosaic[r : r + rows_per_strip], components=components) for r in range(0, 40, rows_per_strip)]
+    path = make_dng(mosaic, pieces=pieces, t259=(3, [7]), t278=(4, [rows_per_strip]))
+    np.testing.assert_array_equal(read_dng(path).mosaic, mosaic)
+
+
+def test_strips_that_lie_apart_and_out_of_order(make_dng):
+    mosaic = random_mosaic(high=4096)
+    for bits in (12, 16):
+        strips = [packed(mosaic[r : r + 10], bits) if bits < 16 else mosaic[r : r + 10].tobytes() for r in range(0, 40, 10)]
+        gap = b"gap!"
+        pieces = [strips[2] + gap, strips[0] + gap, strips[3] + gap, strips[1] + gap]
+        path = make_dng(mosaic, pieces=pieces, t258=(3, [bits]), t278=(4, [10]), t50717=(4, [4095]))
+        data = bytearray(path.read_bytes())
+        first, size = len(data) - sum(map(len, pieces)), len(pieces[0])
+        offsets = struct.pack("<4I", *(first + size * place for place in (0, 1, 2, 3)))
+        assert data.count(offsets) == 1
+        data = data.replace(offsets, struct.pack("<4I", *(first + size * place for place in (1, 3, 0, 2))))
+        path.write_bytes(data)
+        np.testing.assert_array_equal(read_dng(path).mosaic, mosaic)
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 14])

@@ -156,7 +156,7 @@ def damaged(rows=40, cols=50, *, cut=None, junk=None):
         (b"\xff\xd8\xff\xda\0\x08" + bytes(60), "no JPEG frame header"),
         (b"\xff\xd8" + bytes(60), "broken JPEG header"),
         (damaged(40, 48), "holds 1920 samples"),
-        (damaged(cut=2000), "LibRaw cannot decode"),
+        (damaged(cut=2000), "does not end with an end-of-image marker"),
         (damaged(junk=1500), "LibRaw cannot decode"),
     ],
 )
@@ -174,7 +174,7 @@ def test_optical_black_asked_for_where_there_is_none(make_dng):
 
 def test_shape_disagreement(make_dng, monkeypatch):
     """A decoder that returns another frame than the tags promise."""
-    monkeypatch.setattr("isetval.files.dng.decoding.decode_plain", lambda path, tags: np.zeros((39, 50), np.uint16))
+    monkeypatch.setattr("isetval.files.dng.samples.decode_plain", lambda data, layout, order: np.zeros((39, 50), np.uint16))
     refused(make_dng(), "39 x 50", "40 x 50")
 
 

@@ -10,7 +10,7 @@ import rawpy
 
 import isetval
 from isetval.core.rational import as_rational_time
-from isetval.core.sensor import BAYER_PATTERNS, black_at, pattern_at
+from isetval.core.sensor import BAYER_PATTERNS, pattern_at
 from isetval.files.dng import DngInfo, noise_profile, simulation_info, write_dng
 
 BLACKS = [[63.75, 64.25], [64.5, 63.9]]
@@ -30,7 +30,7 @@ def test_pattern_and_size(tmp_path, cfa, shape):
     np.testing.assert_array_equal(back.mosaic, capture.mosaic)
     assert back.sensor == capture.sensor
     assert back.exposure == capture.exposure
-    assert back.window == (0, 0)
+    assert (back.window, back.provenance["window_stated"]) == ((0, 0), False)
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
@@ -61,15 +61,21 @@ def test_libraw_reads_a_monochrome_file(tmp_path):
         np.testing.assert_array_equal(raw.raw_image.copy(), capture.mosaic)
 
 
-@pytest.mark.parametrize("window", [(0, 0), (3, 4), (2, 5), (7, 9)])
-def test_a_crop_carries_the_phase_of_its_first_pixel(tmp_path, window):
+@pytest.mark.parametrize("cfa", ["GRBG", "MONO"])
+@pytest.mark.parametrize("window", [(0, 0), (3, 4), (2, 5), (70, 80)])
+def test_a_crop_carries_its_place_on_the_sensor(tmp_path, window, cfa):
     mosaic = np.random.default_rng(2).integers(0, 1024, (30, 40)).astype(np.uint16)
-    sensor = isetval.Sensor(100, 120, 1.12, "GRBG", BLACKS, 1023, 10)
+    sensor = isetval.Sensor(100, 120, 1.12, cfa, 64.25 if cfa == "MONO" else BLACKS, 1023, 10)
     crop = isetval.Capture(mosaic, sensor, window)
-    back = isetval.read_dng(write_dng(tmp_path / "a.dng", crop))
-    assert back.sensor.cfa == pattern_at("GRBG", window)
-    assert back.sensor.black_dn == black_at(sensor.black_dn, window)
-    assert back.sensor.pixel_um == 1.12
+    path = write_dng(tmp_path / "a.dng", crop)
+    back = isetval.read_dng(path)
+    np.testing.assert_array_equal(back.mosaic, mosaic)
+    assert (back.sensor, back.window, back.provenance["window_stated"]) == (sensor, window, True)
+    # other readers see the crop as it always was: the phase of its first pixel, and nothing of its place
+    with rawpy.imread(str(path)) as raw:
+        np.testing.assert_array_equal(raw.raw_image.copy(), mosaic)
+        if cfa != "MONO":
+            assert "".join("RGBG"[c] for c in raw.raw_pattern.ravel()) == pattern_at(cfa, window)
 
 
 @pytest.mark.parametrize("time_s", [1 / 3, 0.1, 1 / 8000, 30.0, 0.033333, 3.1e-05, np.pi, 1e-9])

@@ -24,10 +24,13 @@ def capture(*, cfa="RGGB", exposure=None, **sensor):
 
 @pytest.mark.parametrize("cfa", [*BAYER_PATTERNS, "MONO"])
 @pytest.mark.parametrize("info", [DngInfo(), FULL])
-def test_exiftool_finds_nothing_to_complain_about(tmp_path, cfa, info):
+@pytest.mark.parametrize("window", [None, (6, 3)])
+def test_exiftool_finds_nothing_to_complain_about(tmp_path, cfa, info, window):
     if shutil.which("exiftool") is None:
         pytest.skip("exiftool is not installed (Debian: libimage-exiftool-perl)")
-    path = write_dng(tmp_path / "a.dng", capture(cfa=cfa, black_dn=64.25), info=info)
+    whole = capture(cfa=cfa, black_dn=64.25)
+    crop = Capture(MOSAIC, Sensor(100, 120, 1.4, cfa, 64.25), window or (0, 0))
+    path = write_dng(tmp_path / "a.dng", crop if window else whole, info=info)
     answer = subprocess.run(
         ["exiftool", "-validate", "-warning", "-error", "-a", "-s3", path], capture_output=True, text=True, check=True
     )
@@ -72,6 +75,15 @@ def test_what_a_dng_cannot_hold(tmp_path, settings, info, words):
 def test_info_checks_its_lengths(settings):
     with pytest.raises(InputError, match=next(iter(settings))):
         DngInfo(**settings)
+
+
+@pytest.mark.parametrize(
+    "order", [lambda path: (capture(), path), lambda path: (path, MOSAIC), lambda path: (capture(), capture())]
+)
+def test_path_and_capture_in_the_wrong_order(tmp_path, order):
+    with pytest.raises(InputError, match=r"the path first and a Capture second: write_dng\(path, capture\)"):
+        write_dng(*order(tmp_path / "a.dng"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_unwritable_places(tmp_path):

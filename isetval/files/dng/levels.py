@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from statistics import mean
 
 from isetval.core.sensor import Black
-from isetval.files.dng.refusal import Remark, refusal
 from isetval.files.dng.tags import Fractions, RawTags
+from isetval.files.picture_file import Remark, refusal
 
 Area = tuple[int, int, int, int]
 Exact = tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction]]
+LARGEST_BLACK_GRID = 16  # lines and columns; cameras repeat their black over 1, 2, 4 or 6 pixels
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def read_levels(path: object, tags: RawTags, *, shape: tuple[int, int]) -> Level
     remarks = []
     if spread:
         size = f"{len(grid)} x {len(grid[0])}"
-        text = f"BlackLevel repeats over {size} pixels and differs by up to {float(spread):g} DN within a colour plane"
+        text = f"BlackLevel repeats over {size} pixels and differs by up to {float(spread):g} DN within a color plane"
         remarks.append(Remark("black_not_2x2", f"{text}; planes use its mean"))
     table, delta_remarks = _with_deltas(path, tags, table, shape)
     levels = Levels(table, white[0], (*remarks, *delta_remarks))
@@ -91,6 +93,9 @@ def read_levels(path: object, tags: RawTags, *, shape: tuple[int, int]) -> Level
 def _grid(path: object, tags: RawTags, black: Fractions) -> list[list[Fraction]]:
     repeat = tags.numbers(50713) or (Fraction(1), Fraction(1))
     rows, cols = (int(v or 0) for v in repeat[:2])
+    if max(rows, cols) > LARGEST_BLACK_GRID:
+        needed = f"at most {LARGEST_BLACK_GRID} x {LARGEST_BLACK_GRID}"
+        raise refusal(path, f"a BlackLevelRepeatDim of {rows} x {cols}", needed, "convert it again")
     if rows < 1 or cols < 1 or rows * cols != len(black):
         raise refusal(
             path,
@@ -118,6 +123,11 @@ def _mean(values: Sequence[Fraction]) -> Fraction:
     return Fraction(mean(values))
 
 
+def _mean_of_many(values: Sequence[Fraction]) -> Fraction:
+    """Mean to a double's precision: the exact sum of 10^5 foreign denominators would take minutes."""
+    return Fraction(math.fsum(map(float, values)) / len(values))
+
+
 def _with_deltas(path: object, tags: RawTags, table: Exact, shape: tuple[int, int]) -> tuple[Exact, tuple[Remark, ...]]:
     """Add the mean BlackLevelDelta of every phase (H runs along a row, V down a column), with remarks."""
     remarks = []
@@ -132,8 +142,8 @@ def _with_deltas(path: object, tags: RawTags, table: Exact, shape: tuple[int, in
             raise refusal(
                 path, f"{name} has {len(values)} entries", f"{length}, one a line of the ActiveArea", "convert it again"
             )
-        even = _mean(values[0::2])
-        shifts.append((even, _mean(values[1::2]) if length > 1 else even))
+        even = _mean_of_many(values[0::2])
+        shifts.append((even, _mean_of_many(values[1::2]) if length > 1 else even))
         span = float(max(values) - min(values))
         remarks.append(
             Remark(

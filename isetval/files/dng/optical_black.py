@@ -1,24 +1,31 @@
-"""Optical black read from the hidden margin of a frame, where a margin exists and looks like darkness."""
+"""The black level of a file: the hidden margin where it is plausible and contradicts the tag, else the tag."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.errors import InputError
 from isetval.core.sensor import Black
-from isetval.files.dng.levels import Area
+from isetval.files.dng.levels import Area, Levels
+from isetval.files.picture_file import Remark, refusal
 
-THINNEST_MARGIN_PX = 16
+BlackChoice = Literal["auto", "tag", "optical"]
+
+
+THINNEST_MARGIN_PX = 16  # thinner ones are all guard, dummy pixels and crosstalk
+# left out at the frame's rim (dummy columns; the Canon 550D has 20), beside the light (crosstalk) and at either end
 OUTER_GUARD_PX, INNER_GUARD_PX, END_GUARD_PX = 20, 12, 4
-FEWEST_PIXELS = 1000
-LARGEST_SHARE_OF_RANGE = 0.01
-LARGEST_CORRELATION = 0.3
-LARGEST_DRIFT_SIGMAS = 0.5
-DIFFERS_SIGMAS = 3.0
-DIFFERS_SIGMAS_OF_FOUR = 4.0
-NORMAL_MAD = 1.4826
+FEWEST_PIXELS = 1000  # a mean to 3 % of the noise
+LARGEST_SHARE_OF_RANGE = 0.01  # black tags err by tenths of a percent, read noise lies below 1 % at any usable ISO
+LARGEST_CORRELATION = 0.3  # dark pixels are independent; bilinear interpolation alone makes .5
+LARGEST_DRIFT_SIGMAS = 0.5  # a drift that large is light or a gradient and not one level
+DIFFERS_SIGMAS = 3.0  # chance of a false alarm .003 ...
+DIFFERS_SIGMAS_OF_FOUR = 4.0  # ... and of the same order for the worst of four places
+NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,57 @@ def optical_black(frame: NDArray[np.uint16], active: Area, *, black_dn: Black, w
     )
 
 
+def choose_black(
+    path: object, levels: Levels, margin: OpticalBlack | None, choice: BlackChoice = "auto"
+) -> tuple[Black, str, tuple[Remark, ...]]:
+    """The black level of a file: the one place where it is decided.
+
+    "auto" takes the margin where it is plausible and differs from the tag by more than noise explains, else
+    the tag; "tag" the tag; "optical" the margin.
+
+    Returns
+    -------
+    black_dn : 2x2
+        From the ActiveArea's first pixel.
+    used : str
+        ``"tag"`` or ``"optical_black"``.
+    remarks : tuple of Remark
+        How far tag and margin lie apart, where that matters.
+
+    Raises
+    ------
+    InputError
+        For "optical" where there is no plausible margin, and a choice that does not exist.
+    """
+    if choice not in get_args(BlackChoice):
+        raise InputError(f"black is {choice!r}; it needs one of {', '.join(get_args(BlackChoice))}")
+    if choice == "optical" and (margin is None or margin.doubts):
+        reason = (
+            "no hidden margin" if margin is None else f"a hidden margin that is not optical black: {'; '.join(margin.doubts)}"
+        )
+        raise refusal(path, reason, "plausible optical black", "use the black level of the tag")
+    if margin is None:
+        return levels.black_dn, "tag", ()
+    tag_dn = float(np.mean(levels.black_dn))
+    if margin.doubts:
+        words = f"the hidden margin is not taken for optical black ({'; '.join(margin.doubts)})"
+        words += f"; the tag's black level of {tag_dn:g} DN is used"
+        return levels.black_dn, "tag", (Remark("margin_not_black", words),)
+    optical_dn = float(np.mean(margin.mean_dn))
+    apart = f"BlackLevel tag {tag_dn:g} DN, optical black {optical_dn:.2f} +- {margin.difference_sigma_dn:.2f} DN"
+    apart += f" (it drifts by {margin.drift_dn:+.1f} DN across the margin)"
+    if choice == "optical" or (choice == "auto" and margin.differs):
+        words = f"{apart}: the tag is {_high_or_low(-margin.difference_dn)}; the optical black is used"
+        return margin.mean_dn, "optical_black", (Remark("black_tag_differs", words),)
+    if margin.differs:
+        return levels.black_dn, "tag", (Remark("black_tag_differs", f"{apart}; the tag is used, as asked"),)
+    return levels.black_dn, "tag", ()
+
+
+def _high_or_low(excess_dn: float) -> str:
+    return f"{abs(excess_dn):.2f} DN too {'high' if excess_dn > 0 else 'low'}"
+
+
 def _places(frame: NDArray[np.uint16], area: Area, active: Area) -> list[NDArray[np.float64]]:
     """Pixels of the four places of the pattern, counted from the ActiveArea's first pixel, with equal numbers of rows."""
     row0, row1, col0, col1 = area
@@ -139,7 +197,7 @@ def _doubts(parts: list[NDArray[np.float64]], noise_dn: float, difference_dn: fl
     doubts = []
     pixels = min(p.size for p in parts)
     if pixels < FEWEST_PIXELS:
-        return [f"it has only {pixels} pixels a colour plane, {FEWEST_PIXELS} are needed"]
+        return [f"it has only {pixels} pixels a color plane, {FEWEST_PIXELS} are needed"]
     if noise_dn == 0:
         return ["it carries no noise, so it is a filled border"]
     if abs(difference_dn) > LARGEST_SHARE_OF_RANGE * span_dn:
@@ -150,17 +208,17 @@ def _doubts(parts: list[NDArray[np.float64]], noise_dn: float, difference_dn: fl
     if zero > 0.001:
         doubts.append(f"{zero:.1%} of it is clipped at 0")
     clipped = [np.clip(p - np.median(p), -4 * noise_dn, 4 * noise_dn) for p in parts]
-    correlation = max(_neighbour_correlation(p) for p in clipped)
+    correlation = max(_neighbor_correlation(p) for p in clipped)
     if correlation > LARGEST_CORRELATION:
-        doubts.append(f"neighbours correlate by {correlation:.2f}, so it holds a picture and not noise")
+        doubts.append(f"neighbors correlate by {correlation:.2f}, so it holds a picture and not noise")
     drift = max(abs(_drift(p, noise_dn)) for p in parts)
     if drift > LARGEST_DRIFT_SIGMAS * noise_dn:
         doubts.append(f"its mean drifts by {drift:.1f} DN from one side to the other")
     return doubts
 
 
-def _neighbour_correlation(centred: NDArray[np.float64]) -> float:
-    deviation = centred - centred.mean()
+def _neighbor_correlation(centered: NDArray[np.float64]) -> float:
+    deviation = centered - centered.mean()
     variance = float((deviation**2).mean())
     if variance == 0:
         return 1.0

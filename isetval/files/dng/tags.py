@@ -21,7 +21,8 @@ import tifffile
 
 from isetval.core.errors import InputError
 from isetval.core.sensor import BAYER_PATTERNS
-from isetval.files.dng.refusal import refusal, what_is
+from isetval.files.dng.directories import check_directories
+from isetval.files.picture_file import refusal, what_is
 
 # tifffile logs what it also raises; while a file is open here, and only then, it keeps that to itself
 _QUIET: ContextVar[bool] = ContextVar("isetval_dng_quiet", default=False)
@@ -30,6 +31,7 @@ logging.getLogger("tifffile").addFilter(lambda record: not _QUIET.get())
 Fractions = tuple[Fraction | None, ...]
 CFA, LINEAR_RAW = 32803, 34892
 UNSIGNED_SAMPLES, UNDEFINED_SAMPLES = 1, 4
+LONGEST_TEXT = 10_000  # characters of an ASCII tag that are kept: it goes into every result
 COMPRESSIONS = {1: "none", 7: "lossless JPEG"}
 COMPRESSION_NAMES = {
     5: "LZW",
@@ -41,6 +43,7 @@ COMPRESSION_NAMES = {
     50000: "Zstandard",
     52546: "JPEG XL",
 }
+REARRANGED = {266: "FillOrder", 50974: "SubTileBlockSize", 50975: "RowInterleaveFactor", 52547: "ColumnInterleaveFactor"}
 # what a TIFF parser meets in a damaged file
 BROKEN = (
     tifffile.TiffFileError,
@@ -81,7 +84,7 @@ class RawTags:
     def text(self, code: int) -> str | None:
         """An ASCII tag without padding, None if absent or empty."""
         value = self.value(code)
-        return str(value).strip("\0 ") or None if value is not None else None
+        return str(value)[:LONGEST_TEXT].strip("\0 ") or None if value is not None else None
 
     def numbers(self, code: int) -> Fractions | None:
         """The values of a numeric tag as exact fractions; a zero denominator gives None in its place."""
@@ -125,6 +128,7 @@ def open_tags(path: object, data: bytes) -> Iterator[RawTags]:
     """
     token = _QUIET.set(True)
     try:
+        check_directories(path, data)
         try:
             tiff = tifffile.TiffFile(io.BytesIO(data))
             first = tiff.pages[0]
@@ -186,6 +190,9 @@ def _why_not(page: Any) -> str | None:
     sample_format = int(np.max(page.tags.valueof(339) or UNSIGNED_SAMPLES))
     if sample_format not in (UNSIGNED_SAMPLES, UNDEFINED_SAMPLES):
         return {2: "signed samples", 3: "floating-point samples"}.get(sample_format, f"sample format {sample_format}")
+    rearranged = _why_not_in_order(page)
+    if rearranged is not None:
+        return rearranged
     if photometric == LINEAR_RAW:
         return None if samples == 1 else f"linear RGB, already demosaiced, {samples} samples a pixel"
     if photometric != CFA:
@@ -193,6 +200,15 @@ def _why_not(page: Any) -> str | None:
     if samples != 1:
         return f"a mosaic with {samples} samples a pixel"
     return _why_not_bayer(page)
+
+
+def _why_not_in_order(page: Any) -> str | None:
+    """Tags that say the samples do not lie row after row, which LibRaw does not heed (DNG 1.2, 1.4 and 1.7.1; TIFF 6.0)."""
+    for code, name in REARRANGED.items():
+        value = page.tags.valueof(code)
+        if value is not None and set(np.ravel(value).tolist()) != {1}:
+            return f"{name} {np.ravel(value).tolist()[:4]}: its samples do not lie row after row"
+    return None
 
 
 def _why_not_bayer(page: Any) -> str | None:
@@ -206,9 +222,9 @@ def _why_not_bayer(page: Any) -> str | None:
     if shape == (4, 4):
         return "a 4x4 pattern (quad Bayer)"
     if shape != (2, 2) or len(pattern) != 4:
-        return f"a colour pattern of {shape[0]}x{shape[1]} with {len(pattern)} entries"
+        return f"a color pattern of {shape[0]}x{shape[1]} with {len(pattern)} entries"
     if cfa_letters(pattern) not in BAYER_PATTERNS:
-        return f"colour pattern {list(pattern)} (0 = R, 1 = G, 2 = B), which is not Bayer"
+        return f"color pattern {list(pattern)} (0 = R, 1 = G, 2 = B), which is not Bayer"
     if int(page.tags.valueof(50711) or 1) != 1:
         return f"CFALayout {page.tags.valueof(50711)}, a staggered grid"
     if tuple(bytes(page.tags.valueof(50710) or b"\0\1\2")) != (0, 1, 2):

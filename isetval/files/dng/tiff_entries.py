@@ -60,3 +60,14 @@ def rationals(tag: int, values: Sequence[Number], *, name: str, signed: bool = F
         raise InputError(f"{name} is {[float(p) for p in parts]}; a DNG stores it without a sign")
     flat = [n for p in parts for n in (p.numerator, p.denominator)]
     return tag, SRATIONAL if signed else RATIONAL, len(parts), struct.pack(f"<{len(flat)}{code}", *flat)
+
+
+def file_head(entries: Sequence[Entry], *, offsets_tag: int, piece_bytes: Sequence[int]) -> bytes:
+    """Header and one directory of a file whose pieces (strips or tiles) of the given sizes follow one after the other."""
+    head = b""
+    for _ in range(2):  # the second time the sizes are known; offsets do not change them
+        starts = [len(head)]
+        for size in piece_bytes[:-1]:
+            starts.append(starts[-1] + size)
+        head = struct.pack("<2sHI", b"II", 42, 8) + directory([*entries, longs(offsets_tag, *starts)], 8)
+    return head

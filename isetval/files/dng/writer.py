@@ -5,11 +5,9 @@ Layout and tags follow the DNG 1.4 specification (Adobe, 2012), TIFF 6.0 and Exi
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import struct
-import threading
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,7 +17,9 @@ from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.rational import UNSIGNED_MAX, as_rational
 from isetval.core.sensor import black_at, pattern_at
-from isetval.files.dng.info import DngInfo
+from isetval.core.writing import replace_whole
+from isetval.files.dng.metadata import DngInfo
+from isetval.files.dng.sensor_window import window_entries
 from isetval.files.dng.tiff_entries import (
     DOUBLE,
     RATIONAL,
@@ -42,9 +42,9 @@ NEUTRAL_MATRIX = tuple(Fraction(v, 10_000) for v in (32406, -15372, -4986, -9689
 def write_dng(path: str | os.PathLike[str], capture: Capture, *, info: DngInfo | None = None) -> Path:
     """Write a capture as a DNG, whole or not at all; the same capture gives the same bytes.
 
-    The tags describe the crop (CFA phase and black level of its first pixel); the place of the crop
-    on the sensor belongs to the campaign file (see ``place_on_sensor``).  A MONO capture becomes a
-    one-sample LinearRaw image.
+    The tags describe the crop (CFA phase and black level of its first pixel) and keep its place on the
+    sensor and the sensor's size (see ``sensor_window``).  A MONO capture becomes a one-sample LinearRaw
+    image.
 
     Parameters
     ----------
@@ -62,17 +62,17 @@ def write_dng(path: str | os.PathLike[str], capture: Capture, *, info: DngInfo |
     ------
     InputError
         If a level or an exposure has no place in a DNG (a white level or an ISO that is not a whole
-        number, a number outside the 32-bit rationals), or the file cannot be written.
+        number, a number outside the 32-bit rationals), the file cannot be written, or path and capture
+        are given in the wrong order.
     """
+    if isinstance(path, Capture) or not isinstance(capture, Capture):
+        found = f"a {type(path).__name__} and a {type(capture).__name__}"
+        raise InputError(f"write_dng was given {found}; it needs the path first and a Capture second: write_dng(path, capture)")
     data = dng_bytes(capture, info=info)
     target = Path(path)
-    scratch = target.parent / f".{target.name}.{os.getpid()}-{threading.get_ident()}.part"
     try:
-        scratch.write_bytes(data)
-        os.replace(scratch, target)
+        replace_whole(target, data)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            scratch.unlink()
         remedy = "name a file in a folder that exists, is writable and has room"
         raise InputError(f"{target}: cannot be written ({error.strerror}); {remedy}") from None
     return target
@@ -84,6 +84,7 @@ def dng_bytes(capture: Capture, *, info: DngInfo | None = None) -> bytes:
     rows, cols = capture.mosaic.shape
     strip = np.ascontiguousarray(capture.mosaic, dtype="<u2").tobytes()
     entries = _geometry(rows, cols, len(strip)) + _identity(info) + _levels(capture) + _color(capture, info)
+    entries += window_entries(capture)
     exif = _exif(capture, info)
     # two passes: offsets do not change the size of anything
     head = b""

@@ -9,21 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
-from isetval.files.dng.refusal import Remark
+from isetval.files.picture_file import Remark
 
 Mosaic = NDArray[np.uint16]
 
-NEIGHBOURS = 8
-OUTLIER_SIGMAS = 8.0
-MISSING_CODES_LISTED = 16
-COMMON_COUNT, WIDEST_GAP = 30, 15
-CLIPPED_SHARE_NAMED = 1e-4
-NORMAL_MAD = 1.4826
+NEIGHBORS = 8  # lines of one CFA phase that a rim line is held against: enough for a median, near enough to be alike
+OUTLIER_SIGMAS = 8.0  # a normal pixel goes there once in 10^15: none of a 12 MP frame does by chance
+MISSING_CODES_LISTED = 16  # a sentence, not a table
+COMMON_COUNT = 30  # a Poisson count of mean 30 is 0 with probability 1e-13
+WIDEST_GAP = 15  # the gaps of a shift by four bits (12 bits stored as 16), the widest in use
+CLIPPED_SHARE_NAMED = 1e-4  # ten hot or dead pixels in 10^5 are ordinary
+NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
 
 @dataclass(frozen=True)
 class Clipping:
-    """Pixels of one colour plane at the ends of the scale: counts, and shares of the plane."""
+    """Pixels of one color plane at the ends of the scale: counts, and shares of the plane."""
 
     plane: str
     pixels: int
@@ -42,7 +43,7 @@ class Clipping:
 
 
 def clipping(capture: Capture) -> tuple[Clipping, ...]:
-    """Pixels of every colour plane at 0, and at or above the white level."""
+    """Pixels of every color plane at 0, and at or above the white level."""
     white_dn = capture.sensor.white_dn
     # most pictures have no such pixel at all, and two passes over the frame are quicker than eight over planes
     zeros, whites = bool(capture.mosaic.min() == 0), bool(capture.mosaic.max() >= white_dn)
@@ -70,10 +71,10 @@ def clipping_remarks(counts: tuple[Clipping, ...]) -> list[Remark]:
 
 
 def line_remarks(mosaic: Mosaic) -> list[Remark]:
-    """First and last rows and columns that are constant, or whose mean stands out of their neighbours'."""
+    """First and last rows and columns that are constant, or whose mean stands out of their neighbors'."""
     rows, cols = mosaic.shape
     remarks: list[Remark] = []
-    if min(rows, cols) < 4 * NEIGHBOURS:
+    if min(rows, cols) < 4 * NEIGHBORS:
         return remarks
     for axis, name in ((0, "row"), (1, "column")):
         lines = mosaic if axis == 0 else mosaic.T
@@ -90,7 +91,7 @@ def _odd_line(lines: Mosaic, index: int) -> str | None:
     A picture's own structure (gradients, texture, row noise) makes all steps alike; a bad line makes
     the first one stand out.
     """
-    phase = lines[index :: 2 if index == 0 else -2][: NEIGHBOURS + 1].astype(float)
+    phase = lines[index :: 2 if index == 0 else -2][: NEIGHBORS + 1].astype(float)
     line, behind = phase[0], phase[1:]
     # a chance of 1e-6 that pixels like those behind would all have one value
     if np.ptp(line) == 0 and line.size * np.log1p(-min(float(np.mean(behind != line[0])), 0.999)) < np.log(1e-6):
@@ -100,10 +101,10 @@ def _odd_line(lines: Mosaic, index: int) -> str | None:
     shift, *usual_shift = np.median(steps, axis=1).tolist()
     scatter = noise * np.sqrt(np.pi / 2 / line.size)
     if abs(shift) > max(OUTLIER_SIGMAS * scatter, 4 * max(map(abs, usual_shift)), 1.0):
-        return f"lies {-shift:+.1f} DN from its neighbours"
+        return f"lies {-shift:+.1f} DN from its neighbors"
     share, *usual_share = np.mean(np.abs(steps) > OUTLIER_SIGMAS * noise, axis=1).tolist()
     if share > max(0.1, 4 * max(usual_share)):
-        return f"holds garbage: {share:.0%} of its pixels lie more than {OUTLIER_SIGMAS:g} sigma from their neighbours"
+        return f"holds garbage: {share:.0%} of its pixels lie more than {OUTLIER_SIGMAS:g} sigma from their neighbors"
     return None
 
 
@@ -119,7 +120,7 @@ class Codes:
 
 
 def code_use(mosaic: Mosaic) -> Codes:
-    """Codes that never occur although their neighbours are common.
+    """Codes that never occur although their neighbors are common.
 
     Only values between the 0.1 % and 99 % quantile are judged, and only gaps of at most 15 codes (a
     shift by four bits) whose two ends occur at least 30 times each: a Poisson count of mean 30 is
@@ -149,10 +150,10 @@ def code_remarks(codes: Codes) -> list[Remark]:
 
 
 def bad_pixels(capture: Capture) -> dict[str, int]:
-    """Pixels of every plane that stand out of their eight plane neighbours.
+    """Pixels of every plane that stand out of their eight plane neighbors.
 
     A pixel is ``hot`` (``dead``) if it lies above the largest (below the smallest) of its eight
-    neighbours of the same colour by more than eight times the typical range of such neighbours (one
+    neighbors of the same color by more than eight times the typical range of such neighbors (one
     sixth of it stands for sigma) and by more than 8 DN.  Rim pixels of a plane are not judged.
     """
     hot = dead = 0

@@ -1,4 +1,4 @@
-"""One sentence for a file that cannot be used, and what the file really is."""
+"""A picture file as bytes: read whole and once, known by its first bytes, refused in one sentence."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import pytest
 
 from isetval import Capture, read_dng
 from isetval.files.dng import describe_capture, write_dng
-from isetval.files.dng.checks import bad_pixels, clipping, code_use, line_remarks
+from isetval.files.picture_quality import bad_pixels, clipping, code_use, line_remarks
 
 ROWS, COLS = 120, 160
 
@@ -62,11 +62,11 @@ def test_bad_rim_lines(where, fault):
     index = ((ROWS if rows else COLS) - 1) if last else 0
     assert remark.code == ("outlier_row" if rows else "outlier_column")
     assert f"{'row' if rows else 'column'} {index} " in remark.message
-    assert {"stuck": "holds 0 everywhere", "shifted": " DN from its neighbours", "garbage": "neighbours"}[fault] in remark.message
+    assert {"stuck": "holds 0 everywhere", "shifted": " DN from its neighbors", "garbage": "neighbors"}[fault] in remark.message
 
 
 def test_hot_and_dead_pixels_are_counted():
-    """Planted far apart and inside each plane; 100 DN is 9 sigma of this flat's 11 DN above the largest neighbour."""
+    """Planted far apart and inside each plane; 100 DN is 9 sigma of this flat's 11 DN above the largest neighbor."""
     mosaic = photons(800)
     hot = [(10, 10), (33, 51), (80, 121), (90, 44)]
     dead = [(50, 20), (61, 99)]
