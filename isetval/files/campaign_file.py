@@ -280,8 +280,8 @@ def _sized(shot: Shot, sensor: Sensor, path: Path) -> Shot:
     if window is not None and window[2] > 0:
         pass
     elif shot.files:
-        origin = window[:2] if window else (0, 0)
-        window = Window(*origin, *_first_readable(shot.files, path).mosaic.shape)
+        first = _first_readable(shot.files, path)
+        window = Window(*(window[:2] if window else first.window), *first.mosaic.shape)
     elif window is None:
         window = Window(0, 0, sensor.rows, sensor.cols)
     else:

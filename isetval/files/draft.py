@@ -22,11 +22,11 @@ DARK_LEVEL = 0.004
 
 @dataclass(frozen=True)
 class FileFacts:
-    """What one file says: exposure, size, signal, guessed role."""
+    """What one file says: exposure, window, signal, guessed role."""
 
     file: str
     exposure: Exposure
-    shape: tuple[int, int]
+    window: tuple[int, int, int, int]
     signal: float
     role: str
     why: str
@@ -44,7 +44,7 @@ class Draft:
 def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str = "") -> Draft:
     """A commented ``campaign.toml`` for the DNGs of a folder.
 
-    Files of one exposure, size and guessed role become one shot.
+    Files of one exposure, window and guessed role become one shot.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str =
     facts, skipped, first = [], [], None
     for path in files:
         try:
-            capture = read_dng(path, black="tag")
+            capture = read_dng(path)  # the black level that the campaign will be read with
         except InputError as error:
             skipped.append((path.relative_to(folder).as_posix(), str(error)))
             continue
@@ -74,7 +74,7 @@ def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str =
         raise InputError(f"{folder}: none of its {len(files)} DNG files can be read; the first: {skipped[0][1]}")
     groups: dict[Any, list[FileFacts]] = {}
     for fact in facts:
-        groups.setdefault((fact.role, fact.shape, fact.exposure.time_s, fact.exposure.iso), []).append(fact)
+        groups.setdefault((fact.role, fact.window, fact.exposure.time_s, fact.exposure.iso), []).append(fact)
     return Draft(_text(folder, first, list(groups.values()), camera), len(groups), tuple(skipped))
 
 
@@ -97,7 +97,8 @@ def _facts(file: str, capture: Capture, role: str | None) -> FileFacts:
     span = capture.sensor.white_dn - float(np.mean(capture.sensor.black_dn))
     signal = max(float(np.mean(plane_view(capture, p)[0])) - plane_black_dn(capture, p) for p in planes_of(capture)) / span
     guess, why = (role, "as told") if role else _guess(file, capture, signal)
-    return FileFacts(file, capture.exposure, (capture.mosaic.shape[0], capture.mosaic.shape[1]), signal, guess, why)
+    window = (*capture.window, capture.mosaic.shape[0], capture.mosaic.shape[1])
+    return FileFacts(file, capture.exposure, window, signal, guess, why)
 
 
 def _guess(file: str, capture: Capture, signal: float) -> tuple[str, str]:
@@ -217,7 +218,6 @@ def _shot_lines(number: int, group: Sequence[FileFacts]) -> list[str]:
         out.append(f"iso = {first.exposure.iso:g}")
     if first.role in ("edge", "chart", "scene"):
         out.append(f'target = "{first.role}"')
-    window = f"window = [0, 0, {first.shape[0]}, {first.shape[1]}]"
-    out.append(f"{window}   # CHECK: place of a crop on the sensor; mean {mean:.1f} % of the range")
+    out.append(f"window = {list(first.window)}   # CHECK: place of a crop on the sensor; mean {mean:.1f} % of the range")
     names = ", ".join(_quoted(f.file) for f in group)
     return [*out, f"files = [{names}]", ""]
