@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError
+from isetval.core.threads import one_blas_thread
 from isetval.measure.color.chart_finding import FoundChart, find_chart
 from isetval.measure.color.chart_layout import (
     PATCH_NAMES,
@@ -135,6 +136,7 @@ class ChartResult:
         ]
 
 
+@one_blas_thread()
 def chart(
     capture: Capture,
     *,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import MeasurementError
+from isetval.core.threads import one_blas_thread
 from isetval.measure.color.qe_data import (
     LEAST_ROWS,
     HoldOut,
@@ -35,6 +36,7 @@ CHANNELS = ("R", "G", "B")
 ZERO = 1e-9  # of the largest entry: an entry on the bound, to the solver's rounding
 
 
+@one_blas_thread()
 def spectral_qe(
     responses: ArrayLike,
     spectra: ArrayLike,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.capture import Capture, Roi
 from isetval.core.errors import InputError
+from isetval.core.threads import one_blas_thread
 from isetval.measure.shading.blocks import Blocks
 from isetval.measure.shading.flats import collect_blocks
 from isetval.measure.shading.measurement import build_result
@@ -54,6 +55,7 @@ class RotatedSeparation:
     warnings: tuple[str, ...]
 
 
+@one_blas_thread()
 def separate_rotated(
     flat_0: Capture | Sequence[Capture],
     flat_180: Capture | Sequence[Capture],

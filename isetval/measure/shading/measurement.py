@@ -13,6 +13,7 @@ from scipy.special import gammaincc
 from isetval.core.capture import Capture, Roi
 from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor
+from isetval.core.threads import one_blas_thread
 from isetval.measure.shading.blocks import Blocks
 from isetval.measure.shading.derived import color_shading, gain_map_report, odd_even, own_surface
 from isetval.measure.shading.flats import collect_blocks
@@ -28,6 +29,7 @@ RINGS = 30  # of the ring means that are shown beside the curve
 HIGHEST_WISH = 60  # of an order that may be asked for: one interval a block between centre and corner of a frame
 
 
+@one_blas_thread()
 def relative_illumination(
     captures: Capture | Sequence[Capture],
     *,

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from flat_fields import Flat, cos4
+from threadpoolctl import threadpool_limits
 
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError, MeasurementError
@@ -253,3 +254,15 @@ def test_bad_calls_are_refused():
     corner = Flat(rows=1200, cols=1600).capture(np.random.default_rng(1), window=(0, 0), shape=(64, 64))
     with pytest.raises(MeasurementError, match="add a window"):
         relative_illumination(corner)
+
+
+def test_the_number_of_blas_threads_moves_no_bit():
+    flat = Flat(center_px=(3.0, -2.0))
+    rng = np.random.default_rng(73)
+    dn = np.rint(flat.capture(rng).mosaic + rng.standard_normal((flat.rows, 1)))
+    results = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            results.append(relative_illumination(Capture.from_array(dn, pixel_um=flat.pixel_um))["Gb"])
+    np.testing.assert_array_equal(results[0].covariance, results[1].covariance)
+    np.testing.assert_array_equal(results[0].curve, results[1].curve)
