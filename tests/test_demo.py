@@ -8,7 +8,7 @@ import pytest
 
 import isetval
 from isetval.app.cli import main
-from isetval.app.demo import HIDDEN, OwnFiles, draw_hidden, run_demo
+from isetval.app.demo import HIDDEN, HIDE_TAU, OwnFiles, chosen_hidden, draw_hidden, run_demo
 from isetval.core.hashing import file_hash
 from isetval.core.paths import data_folder
 
@@ -53,6 +53,32 @@ def test_every_hidden_effect_can_be_drawn_and_differs_from_the_nominal_camera(no
             start = standing.values()[parameter] if standing is not None else 0.0
             assert 0.8 <= (hidden.values()[parameter] - start) / (listed - start) <= 1.25
     assert draw_hidden(nominal, 3).values() != draw_hidden(nominal, 3 + len(HIDDEN)).values()
+
+
+def test_a_person_may_choose_what_is_hidden(nominal):
+    new = chosen_hidden(nominal, "veiling_glare:gamma=0.03")
+    assert (new.name, dict(new.values())) == ("veiling_glare", {"gamma": 0.03})
+    tau = {p.name: p.tau for p in new.parameters()}["gamma"]
+    assert chosen_hidden(nominal, "veiling_glare").gamma == HIDE_TAU * tau
+    stronger = chosen_hidden(nominal, "dark_current")
+    tau = {p.name: p.tau for p in stronger.parameters()}["rate_e_per_s"]
+    assert stronger.rate_e_per_s == nominal.value("dark_current.rate_e_per_s") + HIDE_TAU * tau
+
+
+@pytest.mark.parametrize(
+    ("hide", "said"),
+    [
+        ("veiling_glear", "near it: veiling_glare"),
+        ("veiling_glare:gama=0.1", "--hide gama=0.1: effect veiling_glare has no 'gama'"),
+        ("veiling_glare:gamma=2", "it needs 0 to 1"),
+        ("veiling_glare:", "no value"),
+        ("read_noise:sigma_e=2.954", "leaves the camera as it is"),
+    ],
+)
+def test_what_cannot_be_hidden_is_refused_before_any_file_is_written(tmp_path, capsys, hide, said):
+    assert main(["demo", "--hide", hide, "-o", str(tmp_path / "demo")]) == 3
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "demo").exists()
 
 
 def _small(plan):

@@ -40,6 +40,7 @@ HIDDEN: tuple[tuple[str, Mapping[str, float]], ...] = (
     ("row_fpn", {"sigma_dn": 0.35}),
 )
 """What may be hidden: effects of the catalogue that the embedded plan can name, at sizes met in practice."""
+HIDE_TAU = 2.0  # plausible scales: well seen by most plans, and within what is met in practice
 MARKER = "demo.json"
 
 
@@ -55,10 +56,40 @@ def draw_hidden(nominal: CameraModel, seed: int) -> Effect:
     return standing.changed(**moved) if standing is not None else make_effect(name, moved, "demo")
 
 
+def chosen_hidden(nominal: CameraModel, hide: str) -> Effect:
+    """The effect that a person names: ``NAME`` or ``NAME:parameter=value,...``.
+
+    Without values it stands `HIDE_TAU` plausible scales above what the camera has.
+
+    Raises
+    ------
+    InputError
+        For an unknown effect or parameter, a value out of bounds, or a strength that leaves the camera as it is.
+    """
+    from isetval.camera.model_file import make_effect
+    from isetval.loop.adding import from_settings
+
+    name, colon, settings = hide.partition(":")
+    start = nominal.effect(name) or make_effect(name, {}, "--hide")
+    if colon:
+        given = dict(from_settings(name, [word.strip() for word in settings.split(",")], option="--hide").values)
+    else:
+        given = {
+            p.name: min(start.values()[p.name] + HIDE_TAU * p.tau, p.high)
+            for p in start.parameters()
+            if p.tau is not None and not p.shape
+        }
+    hidden = start.changed(**given, source="demo")
+    if nominal.with_effect(hidden).digest() == nominal.digest() or not given:
+        raise InputError(f"--hide {hide}: leaves the camera as it is; give another value, as --hide {name}:parameter=value")
+    return hidden
+
+
 def run_demo(
     seed: int,
     *,
     folder: Path,
+    hide: str | None = None,
     jobs: int = 1,
     step: Say | None = None,
     say: Say | None = None,
@@ -72,6 +103,8 @@ def run_demo(
         Draws the hidden effect, its strength and the laboratory's errors.
     folder : path
         New, empty, or holding nothing but what an earlier demo wrote there.
+    hide : str, optional
+        The hidden effect, ``NAME`` or ``NAME:parameter=value,...``; drawn by the seed unless given.
     jobs : int
         Worker processes.
     step, say : callable, optional
@@ -95,11 +128,11 @@ def run_demo(
     began = time.perf_counter()
     if seed < 0:
         raise InputError(f"seed is {seed}; it needs 0 or more")
-    own = OwnFiles(folder)
-    own.make_room()
     nominal = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
     plan = plan or isetval.load_campaign(data_folder() / "demo" / "plan.toml")
-    hidden = draw_hidden(nominal, seed)
+    hidden = chosen_hidden(nominal, hide) if hide else draw_hidden(nominal, seed)
+    own = OwnFiles(folder)
+    own.make_room()
     step(f"1  shooting {len(plan.shots)} set-ups with a camera in which one effect is hidden (seed {seed})")
     campaign = _shoot(nominal.with_effect(hidden), plan, seed, folder)
     nominal.save(folder / "nominal.toml")

@@ -42,6 +42,28 @@ def effect_words(effect: Mapping[str, Any], *, sign: str = "+-") -> str:
     return f"{effect['name']}: {', '.join(parts)}" if parts else str(effect["name"])
 
 
+def shortfall_words(effect: Mapping[str, Any]) -> str:
+    """What a named effect says of the model: ``lacks prnu``, ``has too little dark current``, ``has the wrong gain``."""
+    from isetval.effects import catalogue
+
+    name = str(effect["name"])
+    words = name.replace("_", " ")
+    known = catalogue().get(name)
+    nulls = {p.name: p.null for p in known.parameters()} if known else {}
+    moves = [
+        (p["nominal"] - nulls[key], p["value"] - nulls[key])
+        for key, p in effect["parameters"].items()
+        if key in nulls and p.get("nominal") is not None
+    ]
+    if not effect.get("present_in_model") or (moves and not any(before for before, _ in moves)):
+        return f"lacks {words}"
+    if moves and all(now / before > 1 if before else now for before, now in moves):
+        return f"has too little {words}"
+    if moves and all(before and 0 <= now / before < 1 for before, now in moves):
+        return f"has too much {words}"
+    return f"has the wrong {words}"
+
+
 def state_of(mean_square_z: float | None, n: int = 1) -> str:
     """``agrees``, ``doubtful`` or ``fails``: how far a mean-square z lies above 1, against its own scatter sqrt(2/n)."""
     if mean_square_z is None:

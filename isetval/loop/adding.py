@@ -71,8 +71,8 @@ def from_diagnosis(effect: str, path: Path | str) -> NewValues:
     )
 
 
-def from_settings(effect: str, settings: Sequence[str]) -> NewValues:
-    """Values from ``k=v`` words.
+def from_settings(effect: str, settings: Sequence[str], *, option: str = "--set") -> NewValues:
+    """Values from ``k=v`` words; ``option`` is where they were given, for messages.
 
     Raises
     ------
@@ -85,12 +85,12 @@ def from_settings(effect: str, settings: Sequence[str]) -> NewValues:
     for word in settings:
         key, mark, value = word.partition("=")
         if not mark:
-            raise InputError(f"--set {word}: no value; write parameter=value, as --set {next(iter(numbers), 'file')}=0.1")
+            raise InputError(f"{option} {word}: no value; write parameter=value, as {next(iter(numbers), 'file')}=0.1")
         if key in numbers:
             try:
                 values[key] = float(value)
             except ValueError:
-                raise InputError(f"--set {word}: {value!r} is no number; {key} needs one in {numbers[key]}") from None
+                raise InputError(f"{option} {word}: {value!r} is no number; {key} needs one in {numbers[key]}") from None
         elif key in effect_class.files():
             values[key] = value if value.startswith(PACKAGE_PREFIX) else str(Path(value).resolve())
         elif key == "source":
@@ -99,7 +99,7 @@ def from_settings(effect: str, settings: Sequence[str]) -> NewValues:
             known = [*numbers, *effect_class.files(), "source"]
             near = difflib.get_close_matches(key, known, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"--set {word}: effect {effect} has no {key!r}; it has {', '.join(known)}{hint}")
+            raise InputError(f"{option} {word}: effect {effect} has no {key!r}; it has {', '.join(known)}{hint}")
     source = str(values.pop("source", "set by hand"))
     return NewValues(effect, values, source=source)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from isetval.app.report import report_html, write_report
+from isetval.app.words import shortfall_words
 from isetval.core.errors import InputError
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
@@ -157,3 +158,20 @@ window.addEventListener("load", function () {
     assert found is not None
     assert int(found[1]) == 0
     assert int(found[2]) > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "present", "parameters", "words"),
+    [
+        ("veiling_glare", False, {"gamma": (0.03, None)}, "lacks veiling glare"),
+        ("dark_current", True, {"rate_e_per_s": (1.9, 0.26)}, "has too little dark current"),
+        ("dark_current", True, {"rate_e_per_s": (0.1, 0.26)}, "has too much dark current"),
+        ("dark_current", True, {"rate_e_per_s": (0.1, 0.0)}, "lacks dark current"),
+        ("microlens", True, {"m_red": (0.2, 0.1), "m_green": (0.05, 0.1)}, "has the wrong microlens"),
+        ("decenter", True, {"a": (-0.2, 0.1)}, "has the wrong decenter"),
+        ("of_a_package_that_is_gone", True, {"x": (2.0, 1.0)}, "has the wrong of a package that is gone"),
+    ],
+)
+def test_words_for_what_a_model_has_too_little_of(name, present, parameters, words):
+    entry = {k: {"value": value, "nominal": nominal} for k, (value, nominal) in parameters.items()}
+    assert shortfall_words({"name": name, "present_in_model": present, "parameters": entry}) == words

@@ -19,6 +19,11 @@ def register_demo(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--seed", type=int, help="draws the hidden effect, the specimen and the laboratory's errors (default: a fixed one)"
     )
+    p.add_argument(
+        "--hide",
+        metavar="NAME[:p=v,...]",
+        help="the effect to hide, such as your own (default: drawn by the seed; without values at twice its plausible scale)",
+    )
     p.add_argument("-j", "--jobs", type=positive, default=default_jobs(), help="worker processes (default: %(default)s)")
     p.set_defaults(handler=demo, writes_result=False)
 
@@ -60,7 +65,7 @@ def demo(args: argparse.Namespace, console: Console) -> Outcome:
     seed = DEFAULT_SEED if args.seed is None else args.seed
     folder = Path(args.output or "isetval-demo")
 
-    found = run_demo(seed, folder=folder, jobs=args.jobs, step=console.step, say=console.say)
+    found = run_demo(seed, folder=folder, hide=args.hide, jobs=args.jobs, step=console.step, say=console.say)
     return Outcome(found, demo_lines(found), FINE)
 
 

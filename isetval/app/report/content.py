@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from isetval.app.report import charts
-from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, state_of, with_sigma
+from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, shortfall_words, state_of, with_sigma
 
 Row = Mapping[str, Any]
 SYMBOL = {"agrees": "✓", "doubtful": "?", "fails": "✗", "unknown": "–"}
@@ -100,12 +100,12 @@ def _title(*parts: Any) -> str:
 
 def _headline(diagnosis: Mapping[str, Any] | None, models: Sequence[str], columns: Sequence[Mapping[str, Row]]) -> dict[str, str]:
     if diagnosis:
-        names = " and ".join(e["name"].replace("_", " ") for e in diagnosis["effects"])
-        verb = {"attributed": "The model lacks", "ambiguous": "The model probably lacks", "partial": "Part of the answer:"}
+        said = " and ".join(shortfall_words(e) for e in diagnosis["effects"])
+        begin = {"ambiguous": "The model probably", "partial": "Part of the answer: the model"}
         verdict = diagnosis["verdict"]
         text = (
-            f"{verb.get(verdict, 'Named:')} {names}."
-            if names
+            f"{begin.get(verdict, 'The model')} {said}."
+            if said
             else f"{VERDICT_WORDS[verdict][:1].upper()}{VERDICT_WORDS[verdict][1:]}."
         )
         return {"text": text, "tone": TONE[verdict], "more": f"Verdict {verdict}: {VERDICT_WORDS[verdict]}."}
