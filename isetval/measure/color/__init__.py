@@ -1,9 +1,10 @@
-"""Colour charts: finding, patch means, spectral quantum efficiency, line profiles."""
+"""Colour charts: finding, patch means, colour error, spectral quantum efficiency, line profiles."""
 
 from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "ChartResult": "isetval.measure.color.chart_measurement",
+    "ColorError": "isetval.measure.color.color_error",
     "LineProfile": "isetval.measure.color.profile",
     "PatchRows": "isetval.measure.color.patch_statistics",
     "SpectralQE": "isetval.measure.color.qe_data",

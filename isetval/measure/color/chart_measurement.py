@@ -14,6 +14,7 @@ from isetval.core.errors import InputError
 from isetval.core.threads import one_blas_thread
 from isetval.measure.color.chart_finding import FoundChart, find_chart
 from isetval.measure.color.chart_layout import (
+    LAB_D50,
     PATCH_NAMES,
     PATCHES,
     from_centers,
@@ -24,6 +25,7 @@ from isetval.measure.color.chart_layout import (
     reading_orders,
     turn_deg,
 )
+from isetval.measure.color.color_error import ColorError, color_error
 from isetval.measure.color.patch_statistics import DIFFERENCE_VARIANCE_FACTOR, PatchRows, quad_rows
 
 Float = NDArray[np.float64]
@@ -114,6 +116,31 @@ class ChartResult:
     def rgb(self) -> tuple[Float, Float]:
         """Means and sigma, (patches, 3): R, mean green, B."""
         return self.patches.rgb
+
+    def color_error(self, lab: ArrayLike | None = None) -> ColorError:
+        """CIEDE2000 of the patches with one gain a channel and with a fitted 3 x 3 matrix.
+
+        Parameters
+        ----------
+        lab : (patches, 3), optional
+            CIE L*, a*, b* (D50) of the patches; by default the published ones of the 24-patch chart made before
+            November 2014 (later charts differ by about 1, worn ones by more: measure your own for small errors).
+
+        Raises
+        ------
+        InputError
+            For a capture without colours, or patches without published colours.
+        MeasurementError
+            When fewer than six patches are unclipped.
+        """
+        if len(self.planes) != 4:
+            raise InputError(f"the capture has the plane {', '.join(self.planes)}; a colour error needs R, Gr, Gb and B")
+        if lab is None and len(self.names) != PATCHES:
+            raise InputError(f"{len(self.names)} patches have no published colours; give lab, L*, a*, b* (D50) of each")
+        published = LAB_D50 if lab is None else np.asarray(lab, dtype=float)
+        clipped = self.patches.clipped_pixels > CLIPPED_SHARE * np.maximum(self.patches.pixels, 1)
+        mean, sigma = self.rgb
+        return color_error(mean, sigma, published, usable=np.asarray(~clipped.any(axis=1)), names=self.names)
 
     def rows(self) -> list[dict[str, Any]]:
         """One dictionary a patch and plane, for tables and JSON."""
