@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from isetval.app.cli.cmd_lab import register as register_lab
-from isetval.app.cli.cmd_lab import register_demo
-from isetval.app.cli.cmd_loop import register as register_loop
-from isetval.app.cli.cmd_measure import register as register_measure
-from isetval.app.cli.cmd_show import register as register_show
+from isetval.app.cli.inspection_commands import register as register_show
+from isetval.app.cli.laboratory_commands import register as register_lab
+from isetval.app.cli.laboratory_commands import register_demo
+from isetval.app.cli.loop_commands import register as register_loop
+from isetval.app.cli.measure_command import register as register_measure
 
 EPILOG = """\
 the loop:

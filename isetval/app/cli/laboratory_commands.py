@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from isetval.app.cli.cmd_loop import default_jobs, load_both, positive
 from isetval.app.cli.console import Console
+from isetval.app.cli.loop_commands import default_jobs, load_both, positive
 from isetval.app.cli.outcome import FINE, Outcome
 
 
@@ -59,7 +59,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
 
 def demo(args: argparse.Namespace, console: Console) -> Outcome:
     """Shoot the embedded plan with a camera in which one effect is hidden; compare, diagnose, add, compare again; reveal."""
-    from isetval.app.cli.loopwords import demo_lines
+    from isetval.app.cli.loop_words import demo_lines
     from isetval.app.demo import DEFAULT_SEED, run_demo
 
     seed = DEFAULT_SEED if args.seed is None else args.seed

@@ -134,7 +134,7 @@ def simulate(args: argparse.Namespace, console: Console) -> Outcome:
 def compare(args: argparse.Namespace, console: Console) -> Outcome:
     """Measure a campaign, simulate its plan with each model by the same estimators, and show where they differ."""
     import isetval
-    from isetval.app.cli.loopwords import comparison_lines
+    from isetval.app.cli.loop_words import comparison_lines
     from isetval.app.limits import broken, load_limits
     from isetval.core.hashing import file_hash
 
@@ -167,7 +167,7 @@ def _distinct(models: list[CameraModel], files: list[str]) -> list[CameraModel]:
 def identify(args: argparse.Namespace, console: Console) -> Outcome:
     """Tell, before anything is measured, which effects a plan would show, how well, and which it could not tell apart."""
     import isetval
-    from isetval.app.cli.loopwords import identify_lines
+    from isetval.app.cli.loop_words import identify_lines
 
     model, plan, inputs = load_both(args.model, args.plan)
     found = isetval.identify(model, plan, seed=args.seed, jobs=args.jobs, say=console.say)
@@ -178,7 +178,7 @@ def identify(args: argparse.Namespace, console: Console) -> Outcome:
 def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
     """Name the physical effect that the model lacks (or say that none of the known ones explains the captures)."""
     import isetval
-    from isetval.app.cli.loopwords import diagnosis_lines
+    from isetval.app.cli.loop_words import diagnosis_lines
     from isetval.files.captures import input_hashes
 
     model, campaign, inputs = load_both(args.model, args.campaign)

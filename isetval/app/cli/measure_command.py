@@ -194,7 +194,7 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
 
 
 def _file_lines(found: FileMeasurement, *, brief: bool) -> list[str]:
-    from isetval.app.cli.filewords import file_lines, metric_lines
+    from isetval.app.cli.file_words import file_lines, metric_lines
 
     lines: list[str] = []
     for file, about in found.files.items():
