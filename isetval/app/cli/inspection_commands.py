@@ -82,9 +82,9 @@ def _effect_table(rows: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def _speaks_of(row: Mapping[str, Any], word: str) -> bool:
-    """Whether a word stands in an effect's name, text or equation, or is nearly its name."""
+    """Whether a word stands in an effect's name, text or equation."""
     texts = (row["name"], row["text"], row["equation"], *(p["doc"] for p in row["parameters"]))
-    return any(word.lower() in text.lower() for text in texts) or bool(difflib.get_close_matches(word, [row["name"]]))
+    return any(word.lower() in text.lower() for text in texts)
 
 
 def _unknown_effect(words: Sequence[str], known: Iterable[str]) -> InputError:
