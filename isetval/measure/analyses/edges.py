@@ -17,10 +17,18 @@ from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.edge import SfrResult, sfr_batch
 
 ROLES = ("edge",)
-FREQUENCY_CY_PX = np.arange(0.05, 0.5001, 0.05)
+FREQUENCY_CY_PX = np.arange(0.05, 0.5001, 0.05)  # up to Nyquist, a tenth of it apart
 ROUGHNESS = 0.1
-"""Share of the variance that is taken as independent between frequencies: the smoother's covariance is
-nearly singular, and directions it calls impossible must not carry weight."""
+"""Share of the variance that is taken as independent between frequencies.
+
+The sampling covariance itself is right: over 300 captures of one edge (five edges, SNR 22 to 60, green, red, monochrome;
+same choices) the scatter is .8 to 1.07 times the stated one along nearly every eigenvector, down to eigenvalues of 1e-8 of the
+largest.  But ten frequencies hold four to six numbers only: along the other directions sigma is .0001 to .1 of a row's,
+and any error of a prediction, of no importance for a single row, would decide.  A tenth keeps such directions from
+carrying weight and costs no power: the significance of blurs, defocus, apertures, crosstalk and glare changes by 3 % between
+.1 and .001.  Whitened residuals of a true model have a mean square of .37 to .57 over the ten rows therefore (trace of
+stated^-1 sampling, over ten), not 1: their sigmas are not too wide, the rows hold fewer numbers than they are.
+"""
 Float = NDArray[np.float64]
 
 

@@ -28,15 +28,16 @@ from isetval.measure.edge.spline_bins import Binned, bin_samples, noise_level
 
 Float = NDArray[np.floating[Any]]
 
-
-ROUNDS = 8
-POLISH = 3
-LINE_DONE_PX, LINE_DONE_SIGMA = 2e-4, 0.15
-MODEL_ERROR = 2e-5
-UNDITHERED = 0.01
-ALONG_DONE, ACROSS_DONE = 0.0005, 0.0007
-PLAIN_LIGHT = 0.02
-MAX_SHADING = 0.8
+# "No effect": half and twice the value leave MTF50 of 80 clean, noisy, shaded, curved and Bayer edges as it was
+# (bias within .01 %, sd within 1 % of itself).
+ROUNDS = 8  # guard against edges that never rest: plain edges rest after 1, clean shaded ones after 3
+POLISH = 3  # guard as well; no effect
+LINE_DONE_PX, LINE_DONE_SIGMA = 2e-4, 0.15  # a move below both costs 1 % of sigma (.15^2/2); no effect
+MODEL_ERROR = 2e-5  # of the step: what splines leave of clean edges (pull of clean MTF50 .6; 1.0 with half, .3 with twice of it)
+UNDITHERED = 0.01  # share of the rounding variance below which cells need not be counted (saves time); no effect
+ALONG_DONE, ACROSS_DONE = 0.0005, 0.0007  # of the illumination: .01 % of MTF50 of clean shaded edges; no effect
+PLAIN_LIGHT = 0.02  # illumination below it is not fitted twice in the first round (saves time); .04 % of MTF50 at SNR 22
+MAX_SHADING = 0.8  # keeps the illumination above 0 within the region (1 - .8 at its rim); no effect
 
 
 @dataclass(frozen=True, eq=False)

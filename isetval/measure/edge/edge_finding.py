@@ -22,16 +22,16 @@ from isetval.measure.edge.samples import MIN_SIDE_PX, check_channel
 
 Float = NDArray[np.floating[Any]]
 
-
-MIN_LENGTH_PX = 30.0
-MIN_CLEAR_PX = 10.0
-MAX_PIECE_PX = 260.0
-MAX_CLEAR_PX = 90.0
-MIN_ANGLE_DEG = 1.0
-CLEAR_LEVEL = 0.15
-MAX_SHADING = 0.7
-PATTERN_COUNT = 4
-PATTERN_REACH = 0.6
+# Tried with half and twice the value as in ``contours``: two charts of 40 edges, a real frame of 16
+MIN_LENGTH_PX = 30.0  # just above the least side of a region (24 px, 28 for greens); twice of it loses 4 of 16
+MIN_CLEAR_PX = 10.0  # the fit needs plateaus on both sides: 4 widths of an edge of 2.5 px; twice of it loses 3 of 16
+MAX_PIECE_PX = 260.0  # longer contours are cut: bent edges are followed by a polynomial of order 5, distortion by pieces
+MAX_CLEAR_PX = 90.0  # more ground adds little and takes time; no effect
+MIN_ANGLE_DEG = 1.0  # an edge of 60 px crosses one pixel then: all phases are seen (``sfr`` refuses from .75 on)
+CLEAR_LEVEL = 0.15  # of the step, just above what ``sfr`` refuses (``verdict.SECOND_EDGE``); half finds 20 and 3, twice 41 and 28
+MAX_SHADING = 0.7  # change of a level along the edge, of the step: more is a second structure; half loses 1 of 16
+PATTERN_COUNT = 4  # a square has one parallel side, a frame three; no effect in the charts (bar codes have 10 or more)
+PATTERN_REACH = 0.6  # of the length: neighbours farther away leave a region of their own; twice loses 1 of 16
 
 
 class EdgeRoi(tuple[int, int, int, int]):

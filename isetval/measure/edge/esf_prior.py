@@ -25,10 +25,11 @@ from isetval.measure.edge import spline_bins
 Float = NDArray[np.floating[Any]]
 Index = NDArray[np.intp]
 
-
-ENSEMBLE = 600
+ENSEMBLE = 600  # blurs drawn; 300 and 1200 move MTF50 by .02 % at SNR 22 (sigma 1.3 %)
+# Widths up to which ESFs of the ensemble are computed.  20 cuts Airy tails: clean edges -.007 +- .009 % instead of
+# -.005 +- .011 %, with a pull of 1.65 instead of .60; 80: curved edges .005 +- .013 %, .002 % before
 REACH = 40.0
-WIDTH_STEP = 0.02
+WIDTH_STEP = 0.02  # log of neighbouring tabulated widths: transforms are kept per width; .01 and .04 move MTF50 by .04 % or less
 
 
 @dataclass(frozen=True, eq=False)

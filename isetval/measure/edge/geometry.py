@@ -16,7 +16,7 @@ Float = NDArray[np.floating[Any]]
 Index = NDArray[np.intp]
 
 
-MAX_ORDER = 5
+MAX_ORDER = 5  # of the edge's polynomial, as the reference code of ISO 12233:2023 (sfrmat5); the data choose up to it
 ORDERS = MAX_ORDER + 1
 
 

@@ -12,8 +12,7 @@ from isetval.measure.edge.geometry import EdgeLines, PerRegion, RowPolynomials, 
 
 Float = NDArray[np.floating[Any]]
 
-
-LIMITS = np.array([0.9, 0.5, 0.5])
+LIMITS = np.array([0.9, 0.5, 0.5])  # of g0, g1, g2: keep the illumination above 0 in one Gauss-Newton step from a bad line
 
 
 @dataclass(frozen=True, eq=False)

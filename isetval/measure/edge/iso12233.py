@@ -26,9 +26,8 @@ from isetval.measure.edge.sfr_result import SfrResult
 
 Float = NDArray[np.floating[Any]]
 
-
-OVERSAMPLING = 4
-GROUPS = 8
+OVERSAMPLING = 4  # bins per pixel of the standard and of its reference code
+GROUPS = 8  # left out in turn: sigma to 27 % (1/sqrt(2 x 7)), eight times the time
 LUMINANCE = {"R": 0.3, "Gr": 0.3, "Gb": 0.3, "B": 0.1}
 
 

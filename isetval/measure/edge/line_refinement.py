@@ -18,12 +18,12 @@ from isetval.measure.edge.spline_bins import LUT_STEP
 
 Float = NDArray[np.floating[Any]]
 
-
-MAX_TURNS = 6
-MODES = 24
-EVEN, ODD = 0.004, 0.002
-MOVING_ERROR = 2e-3
-DONE_PX, DONE_SIGMA, DONE_WIDTH = 5e-3, 1.0, 0.05
+# The refined lines are polished later against the full ESF; half and twice of these leave MTF50 within .01 % (clean: .001 %)
+MAX_TURNS = 6  # guard; 3 give the same
+MODES = 24  # of the prior's 58, those of largest amplitude
+EVEN, ODD = 0.004, 0.002  # amplitudes of the generic deviation, between the second and third of their grids
+MOVING_ERROR = 2e-3  # of the step: what few modes leave of an ESF, and lines that still move
+DONE_PX, DONE_SIGMA, DONE_WIDTH = 5e-3, 1.0, 0.05  # polishing takes the rest off in one step
 LUT_HALF = int(REACH / LUT_STEP)
 
 

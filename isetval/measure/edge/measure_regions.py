@@ -25,9 +25,9 @@ Float = NDArray[np.floating[Any]]
 
 
 METHODS = ("default", "iso12233:2017", "iso12233:2023", "lyu2022")
-ROUNDING_VARIANCE = 1 / 12
-STEEP = 1.03
-STACKED_SAMPLES = 250_000
+ROUNDING_VARIANCE = 1 / 12  # DN^2, of a uniform error of one code
+STEEP = 1.03  # dx/dy above which rows and columns are exchanged: 1 with a margin against edges at 45 degrees turned to and fro
+STACKED_SAMPLES = 250_000  # 2 MB of doubles, about a core's second-level cache; results do not depend on it
 
 
 def sfr(

@@ -23,7 +23,7 @@ Float = NDArray[np.floating[Any]]
 
 
 NAN = float("nan")
-LEVELS = (0.5, 0.3, 0.1)
+LEVELS = (0.5, 0.3, 0.1)  # of MTF50, MTF30, MTF10
 
 
 @dataclass(frozen=True)

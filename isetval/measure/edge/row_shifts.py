@@ -25,14 +25,14 @@ from isetval.measure.edge.illumination import SideNoise, frame_of, illumination_
 
 Float = NDArray[np.floating[Any]]
 
-
+# Widths on either side of the table of an ESF; with 4 clean edges scatter by .08 % instead of .01 %, 16 change nothing
 REACH = 8.0
-STEP = 1 / 32
+STEP = 1 / 32  # of a width, between its points (linear interpolation); 1/64 changes nothing
 POINTS = int(2 * REACH / STEP) + 1
 QUARTILES = slice(128, -128)  # the inner half: 4 widths on either side
-ROW_FLOOR_PX = 2e-3
-CORE_WIDTHS = 4.0
-MAX_CORE = 60
+ROW_FLOOR_PX = 2e-3  # waviness of real edges below which no higher order is looked for; half and twice change nothing
+CORE_WIDTHS = 4.0  # the slope of the ESF, hence all information on the line, is within them; 2 and 8 move MTF50 by .02 %, .06 %
+MAX_CORE = 60  # samples on either side: memory; the edges of 15 px width that need more fill their regions
 UNIT = np.eye(ORDERS)
 
 

@@ -22,10 +22,10 @@ from isetval.core.sensor import pattern_at
 Float = NDArray[np.floating[Any]]
 Oecf = float | str | ArrayLike | None
 
-
 CHANNELS = ("R", "Gr", "Gb", "B", "G")
+# Plateaus of 10 px beside an edge at 3 degrees or more; a quincunx has 2, a Bayer plane 4 px to a sample
 MIN_SIDE_PX = {"MONO": 24, "G": 28, "Gr": 40, "Gb": 40, "R": 40, "B": 40}
-POINTS = 4096
+POINTS = 4096  # of a tabulated curve: linear interpolation of sRGB to 1e-7 of white
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ Float = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex128]
 
 
-FREQUENCY_STEP = 0.005
-FREQUENCIES = 401
+FREQUENCY_STEP = 0.005  # cy/px: crossings are polished on the exact transform, the step only has to find them
+FREQUENCIES = 401  # up to 2 cy/px, four times Nyquist
 
 
 def default_frequency() -> Float:
