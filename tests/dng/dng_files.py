@@ -84,21 +84,29 @@ def random_mosaic(rows=40, cols=50, *, seed=3, high=1024):
     return np.random.default_rng(seed).integers(0, high, (rows, cols)).astype(np.uint16)
 
 
-def lossless_jpeg(plane, *, bits=16, components=1):
-    """Lossless JPEG of uint16 (rows, cols): ITU-T T.81 annex H, SOF3, predictor 1, seventeen codes of five bits."""
+def predicted(values, predictor, bits):
+    """Predictions of (rows, cols, components) samples: ITU-T T.81, H.1.2.1 and table H.1."""
+    out = np.empty_like(values)
+    out[:, 1:] = values[:, :-1]
+    out[1:, 0] = values[:-1, 0]
+    out[0, 0] = 1 << (bits - 1)
+    a, b, c = values[1:, :-1], values[:-1, 1:], values[:-1, :-1]
+    out[1:, 1:] = [a, b, c, a + b - c, a + ((b - c) >> 1), b + ((a - c) >> 1), (a + b) >> 1][predictor - 1]
+    return out
+
+
+def lossless_jpeg(plane, *, bits=16, components=1, predictor=1):
+    """Lossless JPEG of uint16 (rows, cols): ITU-T T.81 annex H, SOF3, seventeen codes of five bits."""
     rows, cols = plane.shape
     values = plane.reshape(rows, cols // components, components).astype(int)
     ids = range(components)
     head = b"\xff\xd8" + struct.pack(">HHBHHB", 0xFFC3, 8 + 3 * components, bits, rows, cols // components, components)
     head += b"".join(bytes([i, 0x11, 0]) for i in ids)
     head += struct.pack(">HHB", 0xFFC4, 36, 0) + bytes([0, 0, 0, 0, 17] + [0] * 11) + bytes(range(17))
-    head += struct.pack(">HHB", 0xFFDA, 6 + 2 * components, components) + b"".join(bytes([i, 0]) for i in ids) + bytes([1, 0, 0])
-    before = np.empty_like(values)
-    before[:, 1:] = values[:, :-1]
-    before[1:, 0] = values[:-1, 0]
-    before[0, 0] = 1 << (bits - 1)
+    head += struct.pack(">HHB", 0xFFDA, 6 + 2 * components, components) + b"".join(bytes([i, 0]) for i in ids)
+    head += bytes([predictor, 0, 0])
     text = []
-    for step in ((values - before + 32767) % 65536 - 32767).ravel().tolist():
+    for step in ((values - predicted(values, predictor, bits) + 32767) % 65536 - 32767).ravel().tolist():
         size = abs(step).bit_length()
         text.append(format(size, "05b"))
         if 0 < size < 16:

@@ -184,6 +184,15 @@ def test_black_deltas(make_dng):
     assert "2 DN" in said["black_deltah"]
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_black_deltas_of_a_tall_picture(make_dng, order):
+    """tifffile 2026.3 gives half of more than 1024 rationals."""
+    mosaic = random_mosaic(1200, 24)
+    values = [Fraction(-1, 2), Fraction(3, 4)] * 600
+    capture = read_dng(make_dng(mosaic, order=order, t50716=(10, values)))
+    assert capture.sensor.black_dn == ((63.5, 63.5), (64.75, 64.75))
+
+
 def test_masked_areas_do_not_change_the_black(make_dng):
     capture = read_dng(make_dng(t50830=(4, [0, 0, 40, 4]), t50829=(4, [0, 8, 40, 50])))
     assert capture.sensor.black_dn == ((64, 64), (64, 64))

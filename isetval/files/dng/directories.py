@@ -57,6 +57,8 @@ class _Walk:
         """The values of a tag of 32-bit numbers, as many as lie in the file."""
         place = field_at if count == 1 else struct.unpack_from(self.order + "I", self.data, field_at)[0]
         count = min(count, max(0, len(self.data) - place) // 4)
+        if count < 1:
+            return ()
         return struct.unpack_from(f"{self.order}{count}I", self.data, place)
 
 

@@ -13,6 +13,7 @@ Syntax: ITU-T T.81, annexes B (markers), C (Huffman tables) and H (lossless proc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +157,7 @@ def why_not_whole(piece: Piece, samples: NDArray[np.uint16], *, old_sixteen: boo
     values = samples.reshape(piece.rows, piece.cols, piece.components)
     total = 0
     for component, code_bits in enumerate(piece.code_bits):
-        cost = _cost_of_difference(code_bits, old_sixteen)
+        cost = _cost_of_difference(code_bits.tobytes(), old_sixteen)
         spent = cost[_differences(values[..., component], piece.predictor, piece.bits)]
         if not spent.all():
             return "holds a code that its table does not have"
@@ -166,13 +167,17 @@ def why_not_whole(piece: Piece, samples: NDArray[np.uint16], *, old_sixteen: boo
     return None
 
 
-def _cost_of_difference(code_bits: Lengths, old_sixteen: bool) -> Lengths:
+@lru_cache(maxsize=8)  # the pieces of a picture mostly share their tables
+def _cost_of_difference(code_bits: bytes, old_sixteen: bool) -> Lengths:
     """Bits spent on each difference modulo 2^16 (H.1.2.2); 0 where the table has no code for it."""
+    lengths = np.frombuffer(code_bits, np.uint8)
     difference = np.arange(65536)
-    size = np.abs(np.where(difference >= 32768, difference - 65536, difference))
-    category = np.where(size == 0, 0, np.floor(np.log2(np.maximum(size, 1))).astype(int) + 1)
+    size = np.minimum(difference, 65536 - difference)
+    category = np.frexp(size)[1]  # bits of the size: 0 for 0, 16 for 32768
     extra = np.where((category == 16) & (not old_sixteen), 0, category)
-    return np.where(code_bits[category] > 0, code_bits[category] + extra, 0).astype(np.uint8)
+    cost: Lengths = np.where(lengths[category] > 0, lengths[category] + extra, 0).astype(np.uint8)
+    cost.flags.writeable = False
+    return cost
 
 
 def _differences(values: NDArray[np.uint16], predictor: int, bits: int) -> NDArray[np.uint16]:

@@ -31,6 +31,7 @@ logging.getLogger("tifffile").addFilter(lambda record: not _QUIET.get())
 Fractions = tuple[Fraction | None, ...]
 CFA, LINEAR_RAW = 32803, 34892
 UNSIGNED_SAMPLES, UNDEFINED_SAMPLES = 1, 4
+MOST_RATIONALS_OF_TIFFFILE = 1024
 LONGEST_TEXT = 10_000  # characters of an ASCII tag that are kept: it goes into every result
 COMPRESSIONS = {1: "none", 7: "lossless JPEG"}
 COMPRESSION_NAMES = {
@@ -91,9 +92,10 @@ class RawTags:
         tag = self.tag(code)
         if tag is None:
             return None
-        values = tag.value if isinstance(tag.value, tuple | list | np.ndarray) else tuple(_flat(tag.value))
         if int(tag.dtype) in (5, 10):
-            return tuple(_fraction(n, d) for n, d in zip(values[::2], values[1::2], strict=True))
+            parts = _rational_parts(tag)
+            return tuple(_fraction(n, d) for n, d in zip(parts[::2], parts[1::2], strict=True))
+        values = tag.value if isinstance(tag.value, tuple | list | np.ndarray) else tuple(_flat(tag.value))
         return tuple(Fraction(v) if math.isfinite(v) else None for v in values)
 
     def exif_number(self, code: int) -> Fraction | None:
@@ -107,6 +109,17 @@ class RawTags:
         else:
             number = Fraction(value[0] if isinstance(value, tuple) else value)
         return number if number is not None and number > 0 else None
+
+
+def _rational_parts(tag: Any) -> list[int]:
+    """Numerators and denominators of a RATIONAL or SRATIONAL tag; tifffile 2026.3 reads half of more than 1024 of them."""
+    if tag.count <= MOST_RATIONALS_OF_TIFFFILE:
+        return list(tag.value)
+    file = tag.parent.filehandle
+    file.seek(tag.valueoffset)
+    kind = tag.parent.byteorder + ("u4" if int(tag.dtype) == 5 else "i4")
+    parts: list[int] = np.frombuffer(file.read(8 * tag.count), kind).tolist()
+    return parts
 
 
 def _flat(value: Any) -> list[Any]:
