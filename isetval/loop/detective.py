@@ -16,8 +16,7 @@ from isetval.loop.evidence import CLOSE_LOG_ODDS, Refit, class_posterior, log_he
 from isetval.loop.fit import far_values
 from isetval.loop.investigation import Case, confirmed, holds, rebase, second_session
 from isetval.loop.prediction import Point
-from isetval.loop.prepared import Prepared, prepare, split_sessions
-from isetval.loop.repeat_gate import repeat_gate
+from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
 from isetval.loop.replacement import swap
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, cosine, make_frame, score

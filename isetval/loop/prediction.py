@@ -30,8 +30,8 @@ from isetval.core.hashing import content_hash
 from isetval.core.metric import Block, Differences, MetricTable
 from isetval.core.scene import RenderedTarget
 from isetval.core.store import Store
+from isetval.loop.gaussian import scatter
 from isetval.loop.render_error import render_covariance
-from isetval.loop.scatter import scatter
 from isetval.measure.campaign import measure_shot
 
 Float = NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import Any
 
 from isetval.camera.model import CameraModel
 from isetval.core.effect import Effect
-from isetval.loop.ladder import LadderRow
+from isetval.loop.comparison import LadderRow
 
 VERDICTS = ("consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed")
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Signature
+from isetval.loop.comparison import captures_of, ladder_rows
 from isetval.loop.investigation import Case, named_model, second_session
-from isetval.loop.ladder import captures_of, ladder_rows
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter

@@ -11,7 +11,7 @@ from isetval.core.metric import Metric
 from isetval.core.paths import data_folder
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
-from isetval.loop.ladder import captures_of, fitted_to
+from isetval.loop.comparison import captures_of, fitted_to
 
 WINDOW = (1464, 1968, 32, 32)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isetval.core.metric import Metric
-from isetval.loop.scatter import scatter
+from isetval.loop.gaussian import scatter
 
 ROWS, REPLICAS = 200, 40
 FREQUENCIES = 10

@@ -17,7 +17,7 @@ from isetval.measure.conditions import metric, shot_conditions, window_label
 
 ROLES = ("chart", "scene")
 LINE_STEPS = 12  # the paper's six gray patches of a row, twice each
-CLIPPED_SHARE = 0.001  # a tail of noise at white; more moves the mean by more than its sigma
+CLIPPED_SHARE = 0.001  # a patch of fewer than 1000 pixels may hold no clipped one
 LEAST_SIGMA_DN = 1e-3  # of noise-free simulations, whose rounding errs by more
 Found = tuple[Metric, str, float]
 """A row, the name of its pixels, and the fixed part of its sigma in DN."""

@@ -29,7 +29,7 @@ from isetval.measure.color.color_error import ColorError, color_error
 from isetval.measure.color.patch_statistics import DIFFERENCE_VARIANCE_FACTOR, PatchRows, quad_rows
 
 Float = NDArray[np.float64]
-# of a patch's pixels at white: 3 sigma above the mean lie .0013 of a normal noise, cut there it moves the mean by 1e-4 sigma
+# of a patch's pixels: a normal noise that reaches white with so many loses 6e-4 of its sigma in the mean
 CLIPPED_SHARE = 0.002
 # between right order (.86 on the Canon 550D's chart, .90 on made ones) and wrong orders (below 0 on both)
 DOUBTFUL_SCORE = 0.75

@@ -6,11 +6,14 @@ them follow one matrix; those are fitted, under the constraints and without, the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq, nnls
+from scipy.special import fdtrc, gammaincc, gammaincinv
 
 from isetval.core.errors import MeasurementError
 from isetval.measure.color.qe_data import ResponseRows
@@ -23,10 +26,11 @@ SUBSETS = 120
 SUBSET_PATCHES = 4  # three unknowns a channel and one to spare
 CORE_SHARE = 0.6
 CONCENTRATION_STEPS = 8  # each lowers the trimmed sum; a handful of steps reach its minimum (Rousseeuw and Van Driessen)
-TEST_ROUNDS = 6  # of test and fit; the set of patches rarely changes after the second
+TEST_ROUNDS = 6  # of test and fit at most; they end as soon as the set of patches stays
 LEVEL = 0.01  # of the test, after look-elsewhere
 RELATIVE_FLOOR = 0.02  # of a channel's largest response: a relative error alone would let dark patches rule
 FEWEST_PATCHES = 8  # fewer have no robust spread: the core would be 5 patches for 3 unknowns
+MODEL_ERRORS = (1e-6, 10.0)  # relative: below, no camera is known; above, nothing is predicted
 LEAST_JACKKNIFE = 6  # patches more than this are left out in turn; fewer scatter too much to give a 3 x 3 covariance
 DRAWS = 200  # sigma from 200 draws is itself known to 5 %
 
@@ -72,8 +76,6 @@ def _patch_chances(rows: ResponseRows, matrix: Float, model_error: float) -> tup
     A prediction error (a wrong reflectance) is common to the lights, so that with one only the channels count
     as independent.
     """
-    from scipy.special import fdtrc, gammaincc
-
     residual = rows.measured - rows.predicted @ matrix
     z2 = ((residual / _scale(rows, model_error)) ** 2).sum(axis=1)
     chi2 = np.bincount(rows.patch, z2, minlength=len(rows.patches))
@@ -95,8 +97,6 @@ def _freedom(rows: ResponseRows, model_error: float) -> tuple[Float, Float]:
 
 def model_error_of(rows: ResponseRows, matrix: Float, patches: Bool) -> float:
     """Relative prediction error that makes the median patch's chi2 what chance would give; 0 when noise suffices."""
-    from scipy.special import gammaincinv
-
     residual2 = (rows.measured - rows.predicted @ matrix) ** 2
     dof, _ = _freedom(rows, 0.0)
     seen = patches & (dof > 0)
@@ -109,14 +109,15 @@ def model_error_of(rows: ResponseRows, matrix: Float, patches: Bool) -> float:
         z2 = (residual2 / _scale(rows, error) ** 2).sum(axis=1)
         return float(np.median(np.bincount(rows.patch, z2, minlength=len(rows.patches))[seen] / wanted)) - 1
 
-    low, high = 1e-6, 10.0
     # a median over few patches scatters: only a clear excess is a model error
     if rows.sigma is not None and excess(0.0) < 3 * 1.25 * np.sqrt(2 / float(np.mean(dof[seen])) / seen.sum()):
         return 0.0
-    for _ in range(60):
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return float(np.sqrt(low * high))
+    low, high = MODEL_ERRORS
+    if excess(low) <= 0:
+        return low
+    if excess(high) > 0:
+        return high
+    return math.exp(brentq(lambda log: excess(math.exp(log)), math.log(low), math.log(high), xtol=1e-13))
 
 
 def _scale(rows: ResponseRows, model_error: float) -> Float:
@@ -255,8 +256,6 @@ def inequality_lstsq(matrix: Float, target: Float, constraints: Float) -> Float:
     Lawson and Hanson, Solving Least Squares Problems, chapter 23: with matrix = Q R, the least-distance
     problem |z| = min, G R^-1 (z + Q'b) >= 0, solved through non-negative least squares.
     """
-    from scipy.optimize import nnls
-
     q, r = np.linalg.qr(matrix)
     if np.abs(np.diag(r)).min() < 1e-12 * np.abs(np.diag(r)).max():
         raise MeasurementError("the predicted responses are linearly dependent; the matrix needs more varied patches or lights")

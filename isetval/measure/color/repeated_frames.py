@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtri
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
@@ -136,8 +137,6 @@ def temporal_variance(pixel_variance: Float, frames: int) -> Float:
     -----
     Pixels that flicker or were hit once, 6 sigma off, are left out.
     """
-    from scipy.special import chdtri
-
     flat = pixel_variance.reshape(len(pixel_variance), -1)
     dof = frames - 1
     typical = np.median(flat, axis=1, keepdims=True) * dof / chdtri(dof, 0.5)

@@ -24,7 +24,7 @@ Bool = NDArray[np.bool_]
 OUTLIER_SIGMAS = 6.0  # one good pixel in 5e8 lies beyond
 QUANTIZATION_VARIANCE = 1 / 12  # of rounding to whole DN
 MOST_BAD = 0.05  # of a block's pixels: with more, what is left may lie under dust as well
-LEAST_LINES = 16  # fewer row or column means do not fix a variance to a factor 2
+LEAST_LINES = 16  # below, no excess could be significant: 2 sqrt(3.89 / 16) is 1
 # relative variance of the neighbour-difference variance (lag 1, overlapping pairs) is 3 / pixels
 DIFFERENCE_VARIANCE_FACTOR = 3.0
 

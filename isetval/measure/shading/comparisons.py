@@ -33,8 +33,8 @@ class RotatedSeparation:
     Parameters
     ----------
     camera : RelativeIllumination
-        Of the mean of the two flats at equal level: the camera's fall-off (times the even part of the light), with the
-        camera's own centre and tilt.
+        Of the mean of the two flats at equal level: the camera's relative illumination (times the even part of the light),
+        with the camera's own centre and tilt.
     light_tilt_per_mm, light_tilt_sigma_per_mm : (x, y)
         Linear part of the odd light in the first flat, relative per mm on the sensor, all planes together.
     light_odd : mapping of plane to array
@@ -64,7 +64,7 @@ def separate_rotated(
     dark: Capture | Sequence[Capture] | None = None,
     choices: Mapping[str, Any] | None = None,
 ) -> RotatedSeparation:
-    """Separate the camera's fall-off from the odd part of the light.
+    """Separate the camera's relative illumination from the odd part of the light.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ class PredictionComparison:
 def compare_curves(
     radius_mm: ArrayLike, measured: ArrayLike, predicted: ArrayLike, *, sigma: ArrayLike, covariance: Float | None = None
 ) -> PredictionComparison:
-    """Two fall-off curves on the same radii.
+    """Two curves of relative illumination on the same radii.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def compare_curves(
 def compare_with_prediction(
     result: RelativeIllumination, radius_mm: ArrayLike, prediction: ArrayLike, *, prediction_sigma: float = 0.0
 ) -> Mapping[str, PredictionComparison]:
-    """Every plane's measured fall-off against a lens prediction.
+    """Every plane's measured relative illumination against a lens prediction.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def own_surface(fitted: Fitted, plane: str, *, shared: bool) -> tuple[Surface, F
 def color_shading(
     fitted: Fitted, names: Sequence[str], radius: Float, *, shared: bool, inflation: float
 ) -> dict[str, ColorShading]:
-    """R/G, B/G, Gr/Gb fall-off ratios; G is the mean of both greens; covariances between planes kept."""
+    """R/G, B/G, Gr/Gb ratios of the planes' curves; G is the mean of both greens; covariances between planes kept."""
     if "Gr" not in names:
         return {}
     curves: dict[str, tuple[Float, dict[str, Float]]] = {}

@@ -155,7 +155,7 @@ def _check_signal(blocks: Mapping[str, Blocks]) -> None:
         if signal < LEAST_SIGNAL * overall:
             raise MeasurementError(
                 f"plane {plane}: the median signal above black is {signal:.2f} DN, known to {overall:.3f} DN from all blocks; "
-                f"a fall-off needs at least {LEAST_SIGNAL} times that: expose longer, average frames or check the black level"
+                f"it needs at least {LEAST_SIGNAL} times that: expose longer, average frames or check the black level"
             )
 
 

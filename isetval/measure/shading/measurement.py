@@ -69,7 +69,7 @@ def relative_illumination(
     black_sigma_dn : float
         Standard deviation of the black level in DN, added to the curve's sigma.
     gain_maps : mapping of plane to 2-D gains, optional
-        A file's shading maps spanning the frame; reported against the fall-off, never applied.
+        A file's shading maps spanning the frame; reported against the flat, never applied.
     choices : mapping, optional
         ``result.choices`` of an earlier call (order, geometry, block_px), to measure in the same way.
 

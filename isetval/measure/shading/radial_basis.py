@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 Float = NDArray[np.float64]
-HIGHEST_ORDER = 15  # bends as fine as a tenth of the field; kinks (a mechanical stop) are for splines
-SPLINE_INTERVALS = (10, 14, 20, 28, 40)  # each 1.4 times finer; the last .09 mm on a phone's sensor, two blocks
+HIGHEST_ORDER = 15  # ours: bends as fine as a tenth of the field; kinks (a mechanical stop) are for splines
+SPLINE_INTERVALS = (10, 14, 20, 28, 40)  # each 1.4 times finer; the last .09 mm on a phone's sensor, a little more than a block
 OWN_ORDER = 5  # of a plane's difference from the others: colour shading is smooth, kinks of the lens are common to all
 DEGREE = 3  # cubic: curve, slope and curvature without a step
 

@@ -26,7 +26,7 @@ class PlaneIllumination:
     covariance : (radii, radii)
         Of ``curve``.
     center_px, center_sigma_px : (row, col)
-        Centre of the fall-off in sensor pixels and its standard deviation, from this plane alone.
+        Centre of the curve in sensor pixels and its standard deviation, from this plane alone.
     tilt_per_mm, tilt_sigma_per_mm : (x, y)
         Relative change of the light per mm at the centre, from this plane alone; x along columns.
     signal_dn : float
@@ -101,7 +101,7 @@ class PlaneIllumination:
 
 @dataclass(frozen=True, eq=False)
 class ColorShading:
-    """Ratio of two planes' fall-off, 1 at the centre: (radii,) with sigma; geometry errors cancel in it."""
+    """Ratio of two planes' relative illumination, 1 at the centre: (radii,) with sigma; geometry errors cancel in it."""
 
     name: str
     radius_mm: Float
@@ -111,7 +111,7 @@ class ColorShading:
 
 @dataclass(frozen=True, eq=False)
 class OddEven:
-    """The 2-D fall-off about the sensor's middle, split by a half turn (planes averaged by weight).
+    """Relative illumination in two dimensions about the sensor's middle, split by a half turn (planes averaged by weight).
 
     ``even_rms`` and ``odd_rms`` in relative units over the measured blocks; ``odd_decenter_rms`` and
     ``odd_tilt_rms`` are the parts of the odd map that the fitted decentre and tilt explain, and

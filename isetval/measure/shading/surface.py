@@ -23,7 +23,7 @@ from isetval.measure.shading.radial_basis import Radial
 Float = NDArray[np.float64]
 Int = NDArray[np.intp]
 END_SIGMA = 3e-3  # of the last spline's third difference: cos^4 over a phone's field gives 2e-3 with the widest splines
-CURVATURE_STEP = 0.02  # of the radius: curvature of an even polynomial to 1e-3, far above rounding
+CURVATURE_STEP = 0.02  # of the radius: curvature of cos^4 to 4e-4, far above rounding
 LEAST_DETERMINED = 1e-14  # of the largest column of the normal equations: rounding of double precision
 GEOMETRIES = {"center+tilt": (0, 1, 2, 3), "center": (0, 1), "tilt": (2, 3), "none": ()}
 

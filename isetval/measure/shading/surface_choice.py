@@ -234,7 +234,7 @@ def _settle(points: Sequence[Points], *, radial: Radial, geometry: str | None) -
             break
     _check_reach(points, surface)
     notes = {
-        "none": "fall-off or layout of the data do not determine a centre: the sensor's middle is used",
+        "none": "shape or layout of the data do not determine a centre: the sensor's middle is used",
         "center": "centre and tilt cannot be told apart with these data: the tilt is taken as 0",
     }
     return surface, name, () if geometry or name not in notes else (notes[name],)
