@@ -51,9 +51,10 @@ def measure_campaign(
         Called as ``progress(shot name, done, all)``.
     summaries : bool
         Add what people quote of a session (conversion gain, read noise, PRNU, DSNU, dark current per
-        plane) and of a shot (levels of the planes, MTF50, noise of patches), marked ``summary``.
+        plane) and of a shot (levels of the planes, MTF50, levels and noise of patches), marked ``summary``.
     patches : mapping, optional
-        Arguments of `uniform_patches` for those, for instance ``method="lyu2022"`` with ``gain_dn_per_e``.
+        Arguments of `uniform_patches` for charts and scenes, for instance ``size``; with ``method="lyu2022"`` and
+        ``gain_dn_per_e`` the noise that the published rule accepts is added to the summaries.
 
     Returns
     -------
@@ -74,7 +75,8 @@ def measure_campaign(
     for i, shot in enumerate(campaign.shots):
         captures = campaign.captures.read(shot.name)
         if captures:
-            for name, block in _analyzed(shot, captures, choices or {}, notes):
+            known = _with_patch_options(shot, choices or {}, patches)
+            for name, block in _analyzed(shot, captures, known, notes):
                 blocks.append(block)
                 if block.choices:
                     made[f"{shot.name}/{name}"] = dict(block.choices)
@@ -98,6 +100,14 @@ def measure_campaign(
     notes += [f"file {file} left out: {reason}" for file, reason in campaign.captures.skipped]
     table = MetricTable(tuple(blocks), choices=made, notes=tuple(notes), settings={"campaign": campaign.name})
     return table if summaries else table.select(i for i, m in enumerate(table.metrics) if not m.summary)
+
+
+def _with_patch_options(shot: Shot, choices: Mapping[str, Any], patches: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The choices, and options of uniform patches among them unless they are those of the published rule, a summary."""
+    key, known = f"{shot.name}/patch_noise", dict(choices)
+    if patches and patches.get("method") != "lyu2022" and key not in known:
+        known[key] = {"options": dict(patches)}
+    return known
 
 
 def _why_none(campaign: Campaign, shot: Shot) -> str:

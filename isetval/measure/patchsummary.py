@@ -1,6 +1,7 @@
-"""Uniform patches of chart and scene shots as summaries: noise against level, and how many patches were fit for it.
+"""What people quote of the uniform patches of chart and scene shots: how many were fit, their levels, the published rule.
 
-The patches hold the same pixels as the rows of their shot, so they are marked ``summary`` and left out of comparisons.
+The patches hold the same pixels as the rows of their shot, so these rows are marked ``summary`` and left out of comparisons;
+noise against level itself is an analysis (`analyses.patch_noise`).
 """
 
 from __future__ import annotations
@@ -12,19 +13,17 @@ from typing import Any
 import numpy as np
 
 from isetval.core.campaign import Shot
-from isetval.core.capture import Capture, planes_of
+from isetval.core.capture import Capture
 from isetval.core.metric import Block, Metric
+from isetval.measure.analyses.patch_noise import BINS, ROLES, choose_levels, patches_by_channel
 from isetval.measure.conditions import metric, shot_conditions
-from isetval.measure.noise.patch_noise import Patch, uniform_patches
+from isetval.measure.noise.patch_noise import Patch
 
-ROLES = ("chart", "scene")
-SIZE = 10
-MOST = 4000
-BINS = 8
+LEAST_SIGMA_DN = 1e-6  # of noise-free simulations
 
 
 def patch_summary(shot: Shot, captures: Sequence[Capture], options: Mapping[str, Any] | None = None) -> Block:
-    """Noise of the uniform patches of one shot, by channel and level.
+    """Levels of the uniform patches of one shot, by channel.
 
     Parameters
     ----------
@@ -38,51 +37,49 @@ def patch_summary(shot: Shot, captures: Sequence[Capture], options: Mapping[str,
     Returns
     -------
     Block
-        For each channel ``uniform_patch_share`` (accepted over all, binomial sigma) and, in up to eight bins of equally many
-        accepted patches, ``uniform_patch_mean`` and ``uniform_patch_noise`` in DN: root of the mean variance,
-        temporal for the two-frame method, spatial for the published one.
+        For each channel ``uniform_patch_share`` (unclipped, or accepted by the published rule, over all; binomial sigma) and,
+        in up to eight bins of equally many patches, ``uniform_patch_mean`` in DN; by the published rule also the spatial
+        ``uniform_patch_noise`` that it accepts, root of the mean variance.
 
     Raises
     ------
     InputError
         For options that `uniform_patches` refuses, or frames smaller than a patch.
     """
-    settings = {"method": "two_frame", "size": SIZE, **(options or {})}
-    if shot.role not in ROLES or (len(captures) < 2 and settings["method"] == "two_frame"):
+    options = options or {}
+    published = options.get("method") == "lyu2022"
+    if shot.role not in ROLES or (len(captures) < 2 and not published):
         return Block(())
-    if "count" not in settings and captures[0].mosaic.size > MOST * settings["size"] ** 2:
-        settings["count"] = MOST
-    table = uniform_patches(captures, **settings)
-    rows: list[Metric] = []
+    patches = patches_by_channel(captures, options)
+    levels = {} if published else choose_levels(captures[0], patches)
     conditions = shot_conditions(shot, captures[0].sensor) | {"summary": True}
-    for channel in [p for p in (*planes_of(captures[0]), "G") if any(patch.channel == p for patch in table.patches)]:
-        every = [p for p in table.patches if p.channel == channel]
+    rows: list[Metric] = []
+    for channel, every in patches.items():
         fit = sorted((p for p in every if not p.reason), key=lambda p: p.mean_dn)
         share = len(fit) / len(every)
         sigma = math.sqrt(max(share * (1 - share), 1 / len(every)) / len(every))
-        rows.append(
-            metric(conditions, "uniform_patch_share", share, sigma, "1", channel=channel, family="summary_uniform_patch_share")
-        )
-        for k, index in enumerate(np.array_split(np.arange(len(fit)), min(BINS, len(fit)))):
-            if len(index):
-                rows += _bin(conditions, channel, f"level {k + 1}", [fit[i] for i in index])
+        rows.append(_row(conditions, "uniform_patch_share", share, sigma, "1", channel))
+        bins = np.array_split(np.arange(len(fit)), min(BINS, len(fit))) if published and fit else []
+        groups = [[fit[i] for i in part] for part in bins] or [[every[i] for i in part] for part in levels.get(channel, [])]
+        for k, group in enumerate(groups):
+            region = f"level {k + 1}"
+            mean = float(np.mean([p.mean_dn for p in group]))
+            mean_sigma = math.sqrt(sum(p.mean_sigma_dn**2 for p in group)) / len(group)
+            rows.append(_row(conditions, "uniform_patch_mean", mean, mean_sigma, "DN", channel, region))
+            if published:
+                rows.append(_row(conditions, "uniform_patch_noise", *_spatial_noise(group), "DN", channel, region))
     return Block(tuple(rows))
 
 
-def _bin(conditions: dict[str, Any], channel: str, region: str, patches: Sequence[Patch]) -> list[Metric]:
-    """Mean and noise of patches of about one level."""
-    temporal = math.isfinite(patches[0].temporal_std_dn)
-    std = np.array([p.temporal_std_dn if temporal else p.spatial_std_dn for p in patches])
+def _spatial_noise(patches: Sequence[Patch]) -> tuple[float, float]:
+    """Root of the mean spatial variance, and its sigma."""
+    std = np.array([p.spatial_std_dn for p in patches])
     noise = math.sqrt(float(np.mean(std**2)))
     # sigma_dn of a patch is std / sqrt(2 dof): the variances add
     spread = math.sqrt(sum((2 * s * p.sigma_dn) ** 2 for s, p in zip(std, patches, strict=True))) / len(patches)
-    mean = float(np.mean([p.mean_dn for p in patches]))
-    mean_sigma = math.sqrt(sum(p.mean_sigma_dn**2 for p in patches)) / len(patches)
-    values = (
-        ("uniform_patch_mean", mean, mean_sigma),
-        ("uniform_patch_noise", noise, spread / (2 * noise) if noise > 0 else 0.0),
-    )
-    return [
-        metric(conditions, name, value, max(sigma, 1e-6), "DN", channel=channel, region=region, family=f"summary_{name}")
-        for name, value, sigma in values
-    ]
+    return noise, spread / (2 * noise) if noise > 0 else 0.0
+
+
+def _row(conditions: dict[str, Any], name: str, value: float, sigma: float, unit: str, channel: str, region: str = "") -> Metric:
+    sigma = max(sigma, LEAST_SIGMA_DN)
+    return metric(conditions, name, value, sigma, unit, channel=channel, region=region, family=f"summary_{name}")

@@ -1,0 +1,106 @@
+"""Noise against level: temporal noise of the uniform patches of charts and scenes, in bins of about one level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from isetval.core.campaign import Shot
+from isetval.core.capture import Capture, plane_black_dn, planes_of
+from isetval.core.metric import Block, Metric
+from isetval.measure.conditions import metric, shot_conditions
+from isetval.measure.noise.patch_noise import Patch, uniform_patches
+
+ROLES = ("chart", "scene")
+SIZE = 10  # mosaic pixels, as in the paper
+MOST = 4000  # patches: a noise in eight bins to 1 %; more cost time and tell nothing else
+BINS = 8  # levels of the paper's figure; a hundred patches each on a small chart
+CLIPPED_SD = 6.0  # what is this far below white does not clip by chance in a simulation either
+EVEN = 3.0  # spatial over temporal noise: shading and fixed pattern pass, edges that a shaking camera turns into noise do not
+LEAST_SIGMA_DN = 1e-6  # of noise-free simulations
+Levels = dict[str, list[list[int]]]
+
+
+def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
+    """Temporal noise by channel and level, from the differences of two or more frames.
+
+    One frame gives no rows: no rule tells its noise from texture and fixed pattern (guide on sensors, section 6: a gain 34 %
+    off on a scene that is one third uneven).
+
+    Raises
+    ------
+    InputError
+        For frames smaller than a patch.
+
+    Notes
+    -----
+    ``uniform_patch_noise`` is the root of the mean temporal variance of a bin's patches, in DN.  Which patches make a bin is
+    a choice: those that are unclipped and even, in up to eight bins of equally many by rising mean, so that simulations use
+    the very same places.
+
+    Temporal variances are told from differences between frames and means from their sum: for normal noise the two are
+    independent, and of the patch means of the same shot.  What is left is the skewness of few electrons, a correlation
+    of at most sqrt(share / (2 mu)) for mu electrons when ``share`` of the pixels is common: below .1 from 50 electrons on.
+    Channels and bins share no pixels.
+    """
+    if len(captures) < 2:
+        return Block(())
+    own = {"channel": shot.channel} if shot.channel else {}
+    patches = patches_by_channel(captures, own | choices.get("options", {}))
+    levels: Levels = choices.get("levels") or choose_levels(captures[0], patches)
+    conditions = shot_conditions(shot, captures[0].sensor)
+    rows = [
+        _noise_row(conditions, shot, channel, f"level {k + 1}", [patches[channel][i] for i in numbers])
+        for channel, bins in levels.items()
+        for k, numbers in enumerate(bins)
+    ]
+    return Block(tuple(rows), choices={**choices, "levels": levels})
+
+
+def patches_by_channel(captures: Sequence[Capture], options: Mapping[str, Any]) -> dict[str, list[Patch]]:
+    """All patches of each channel, in an order that depends on frame size and options only."""
+    settings = {"method": "two_frame", "size": SIZE, **options}
+    if "count" not in settings and captures[0].mosaic.size > MOST * settings["size"] ** 2:
+        settings["count"] = MOST
+    table = uniform_patches(captures, **settings)
+    found: dict[str, list[Patch]] = {}
+    for patch in table.patches:
+        found.setdefault(patch.channel, []).append(patch)
+    return {name: found[name] for name in (*planes_of(captures[0]), "G") if name in found}
+
+
+def choose_levels(capture: Capture, patches: Mapping[str, Sequence[Patch]]) -> Levels:
+    """Numbers of the patches of each bin, by channel; a channel without an even patch has none."""
+    out: Levels = {}
+    for channel, every in patches.items():
+        range_dn = capture.sensor.white_dn - plane_black_dn(capture, "Gr" if channel == "G" else channel)
+        unclipped = [i for i, p in enumerate(every) if not p.reason and p.mean_dn + CLIPPED_SD * p.temporal_std_dn < range_dn]
+        # evenness is judged against the noise of the whole bin: a patch's own would be selected with it
+        even = []
+        for numbers in _bins(unclipped, every):
+            noise = math.sqrt(float(np.mean([every[i].temporal_std_dn ** 2 for i in numbers])))
+            even += [i for i in numbers if every[i].spatial_std_dn <= EVEN * noise]
+        if even:
+            out[channel] = _bins(even, every)
+    return out
+
+
+def _bins(numbers: Sequence[int], patches: Sequence[Patch]) -> list[list[int]]:
+    """Up to eight bins of equally many patches, by rising mean."""
+    ordered = sorted(numbers, key=lambda i: patches[i].mean_dn)
+    return [[int(i) for i in part] for part in np.array_split(ordered, min(BINS, len(ordered)))] if ordered else []
+
+
+def _noise_row(conditions: dict[str, Any], shot: Shot, channel: str, region: str, patches: Sequence[Patch]) -> Metric:
+    """Root of the mean temporal variance, and its sigma."""
+    variance = np.array([p.temporal_std_dn for p in patches]) ** 2
+    # sigma_dn of a patch is std / sqrt(2 dof); the mean square of a variance with so many is (1 + 2 / dof) of its square
+    dof = np.array([p.temporal_std_dn**2 / (2 * p.sigma_dn**2) if p.sigma_dn > 0 else math.inf for p in patches])
+    noise = math.sqrt(float(variance.mean()))
+    sigma = math.sqrt(float(np.sum(2 * variance**2 / (dof + 2)))) / len(patches) / (2 * noise) if noise > 0 else 0.0
+    family = f"{shot.role}_patch_noise"
+    sigma = max(sigma, LEAST_SIGMA_DN)
+    return metric(conditions, "uniform_patch_noise", noise, sigma, "DN", channel=channel, region=region, family=family)
