@@ -117,12 +117,12 @@ def test_a_campaign_holds_them_beside_its_rows():
 
 
 def test_compare_and_noise_of_a_chart():
-    """The true model's rows scatter by their sigma; a read noise of 6 e- in place of 3 stands out of them, not of the means."""
+    """The true model's rows scatter by their sigma; a read noise of 9 e- in place of 3 stands out of them, not of the means."""
     model = load_model(data_folder() / "pixel4a" / "camera.toml")
     plan = load_campaign(data_folder() / "demo" / "plan.toml").session("A")
     shot = next(s for s in plan.shots if s.role == "chart")
     plan = replace(plan, shots=(replace(shot, frames=2),))
-    noisy = replace(model.with_values({"read_noise.sigma_e": 6.0}), name="noisy")
+    noisy = replace(model.with_values({"read_noise.sigma_e": 9.0}), name="noisy")
     table = compare([model, noisy], simulate(model, plan, seed=4)).table
     rows = table[table.family == "chart_patch_noise"]
     assert len(rows) == 2 * 4 * 8
