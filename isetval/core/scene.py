@@ -102,6 +102,8 @@ class Scene:
         Relative rise of the light with the square of the field radius (1 at the corner).
     target_tilt : (x, y)
         Relative rise of the target's brightness from its middle to the border of the window.
+    target_bow : (xx, yy, xy)
+        Relative rise of the target's brightness with the squares and the product of both, 1 at the border.
     black : float
         Reflectance added to black elements (the dark side of an edge).
     ambient : (bands,)
@@ -119,6 +121,7 @@ class Scene:
     tilt: tuple[float, float] = (0.0, 0.0)
     radial: float = 0.0
     target_tilt: tuple[float, float] = (0.0, 0.0)
+    target_bow: tuple[float, float, float] = (0.0, 0.0, 0.0)
     black: float = 0.0
     ambient: Float | None = None
     gloss: float = 0.0

@@ -35,6 +35,7 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
         tilt=(context.get("light_tilt_x"), context.get("light_tilt_y")),
         radial=context.get("light_radial"),
         target_tilt=(context.get("target_tilt_x"), context.get("target_tilt_y")),
+        target_bow=(context.get("target_bow_x"), context.get("target_bow_y"), context.get("target_twist")),
         black=context.get("dark_reflectance"),
         parameters={"wall_albedo": context.get("wall_albedo")},
     )
@@ -63,7 +64,7 @@ def planar_radiance(scene: Scene, context: Context) -> Signal:
     elif isinstance(scene.target, EdgeTarget):
         layers = _edge_layers(scene, context)
     elif isinstance(scene.target, ChartTarget):
-        white = scene.white[:, None, None] * _target_field(scene, context)
+        white = scene.white[:, None, None] * target_field(scene, context)
         layers = [Layer(white, _chart(scene, scene.target, context))]
     else:
         raise InputError(f"target {scene.target.name}: not a planar target; it needs the renderer")
@@ -98,13 +99,15 @@ def light_field(scene: Scene, context: Context) -> Float:
     return np.asarray(field[None])
 
 
-def _target_field(scene: Scene, context: Context) -> Float:
-    if not any(scene.target_tilt):
+def target_field(scene: Scene, context: Context) -> Float:
+    """Relative light on a target, (1, rows, cols) or (1, 1, 1): tilt and bow over the shot's window."""
+    if not any(scene.target_tilt) and not any(scene.target_bow):
         return np.ones((1, 1, 1))
     rows, cols = context.shot_shape()
     row, col = context.place_in_shot()
     x, y = (col - (cols - 1) / 2) / max(cols / 2, 1), (row - (rows - 1) / 2) / max(rows / 2, 1)
-    return np.asarray((1 + scene.target_tilt[0] * x + scene.target_tilt[1] * y)[None])
+    (along_x, along_y), (xx, yy, xy) = scene.target_tilt, scene.target_bow
+    return np.asarray((1 + along_x * x + along_y * y + xx * x**2 + yy * y**2 + xy * x * y)[None])
 
 
 def _chart(scene: Scene, target: ChartTarget, context: Context) -> SpectralPicture:
@@ -125,7 +128,7 @@ def _edge_layers(scene: Scene, context: Context) -> list[Layer]:
     assert isinstance(target, EdgeTarget)
     dark = scene.white * np.maximum(scene.reflectance(target.dark_reflectance) + scene.black, 0)
     bright = scene.white * scene.reflectance(target.bright_reflectance)
-    field = _target_field(scene, context)
+    field = target_field(scene, context)
     edge = StraightEdge(_normal(target), *_relative(target.offset_px, context), falling=target.dark_side == "high")
     return [Layer(dark[:, None, None] * field), Layer((bright - dark)[:, None, None] * field, edge)]
 

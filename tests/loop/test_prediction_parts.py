@@ -147,3 +147,15 @@ def test_chart_patch_in_the_middle_has_its_own_reflectance(model):
     edge = Shot("e", "edge", exposure=Exposure(0.01), window=WINDOW, light="sphere", target=EdgeTarget("e"))
     values = mean_electrons(model, ShotSetup(edge, LIGHT))
     assert values[48, 8] < 0.1 * values[48, 90] * 1.3
+
+
+def test_light_on_a_chart_tilts_bows_and_twists(model):
+    patches = (Patch("p", (8, 88, 8, 88), Spectrum.flat(0.6)),)
+    target = ChartTarget("c", patches, Spectrum.flat(0.6))
+    shot = Shot("c", "chart", exposure=Exposure(0.01), window=WINDOW, light="sphere", target=target)
+    even = mean_electrons(model, ShotSetup(shot, LIGHT))
+    moved = {"target_tilt_x": 0.1, "target_bow_x": 0.2, "target_bow_y": -0.1, "target_twist": 0.3}
+    ratio = mean_electrons(model, ShotSetup(shot, LIGHT, moved)) / even
+    x = (np.arange(96) - 47.5) / 48
+    y = x[:, None]
+    np.testing.assert_allclose(ratio, 1 + 0.1 * x + 0.2 * x**2 - 0.1 * y**2 + 0.3 * x * y, rtol=1e-6)
