@@ -8,7 +8,7 @@ new render; walls, black and chart reflectances do, with common random numbers.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene
-from isetval.core.signal import Layer, Signal
+from isetval.core.signal import Layer, Signal, Transfer
 from isetval.core.spectrum import Spectrum
 from isetval.scenes.planar import target_field
-from isetval.scenes.rendered.accumulation import Progress
+from isetval.scenes.rendered.accumulation import Progress, Render
 from isetval.scenes.rendered.rendering import render
 from isetval.scenes.rendered.scene_file import LoadedScene, parse_scene
 from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
@@ -159,3 +159,38 @@ def fine_camera(camera: Any, context: Context, *, subsample: int, halo_px: int) 
         "rows": (sensor.rows + 2 * halo_px) * subsample,
         "cols": (sensor.cols + 2 * halo_px) * subsample,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A render ``subsample`` times finer than the pixels, with a margin of ``halo_px``: sharp detail of a scene."""
+
+    render: Render
+    subsample: int
+    halo_px: int
+
+    def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """The blurred picture at the pixels' middles times ``amplitude``, (bands, rows, cols).
+
+        Without a transfer function, the mean over each pixel.
+        """
+        grid = np.array([550.0]) if wavelength_nm is None else wavelength_nm
+        fine = self.render.radiance
+        s, halo = self.subsample, self.halo_px
+        shape = tuple(n // s - 2 * halo for n in fine.shape[1:])
+        weights = np.array([np.interp(grid, self.render.wavelength_nm, row) for row in np.eye(len(fine))]).T
+        out = np.empty((grid.size, *shape))
+        if transfer is None:
+            inner = fine[:, halo * s : fine.shape[1] - halo * s, halo * s : fine.shape[2] - halo * s]
+            binned = inner.reshape(len(fine), shape[0], s, shape[1], s).mean(axis=(2, 4), dtype=float)
+            return np.asarray(amplitude * np.tensordot(weights, binned, 1))
+        spectra = np.fft.rfft2(fine.astype(float))
+        fy = np.asarray(np.fft.fftfreq(fine.shape[1], 1 / s), float)[:, None]
+        fx = np.asarray(np.fft.rfftfreq(fine.shape[2], 1 / s), float)[None, :]
+        # to the pixel's middle, half a pixel less half a fine sample on; and what the fine samples' own size blurs
+        shift = np.exp(1j * np.pi * (1 - 1 / s) * (fx + fy)) / (np.sinc(fx / s) * np.sinc(fy / s))
+        for i, wavelength in enumerate(grid):
+            otf = np.asarray(transfer(fx, fy, np.array(wavelength)))
+            picture = np.fft.irfft2(np.tensordot(weights[i], spectra, 1) * otf * shift, s=fine.shape[1:])
+            out[i] = picture[halo * s : fine.shape[1] - halo * s : s, halo * s : fine.shape[2] - halo * s : s]
+        return np.asarray(amplitude * out)
