@@ -21,13 +21,14 @@ FREQUENCY_CY_PX = np.arange(0.05, 0.5001, 0.05)  # up to Nyquist, a tenth of it 
 ROUGHNESS = 0.1
 """Share of the variance that is taken as independent between frequencies.
 
-The sampling covariance itself is right: over 300 captures of one edge (five edges, SNR 22 to 60, green, red, monochrome;
-same choices) the scatter is .8 to 1.07 times the stated one along nearly every eigenvector, down to eigenvalues of 1e-8 of the
-largest.  But ten frequencies hold four to six numbers only: along the other directions sigma is .0001 to .1 of a row's,
-and any error of a prediction, of no importance for a single row, would decide.  A tenth keeps such directions from
-carrying weight and costs no power: the significance of blurs, defocus, apertures, crosstalk and glare changes by 3 % between
-.1 and .001.  Whitened residuals of a true model have a mean square of .37 to .57 over the ten rows therefore (trace of
-stated^-1 sampling, over ten), not 1: their sigmas are not too wide, the rows hold fewer numbers than they are.
+The sampling covariance itself is right: over 300 captures of one edge (same choices) the scatter is .76 to 1.07 times the
+stated one along every eigenvector, down to 1e-8 of the largest eigenvalue, for four edges (SNR 22 to 60, green, red,
+monochrome), .33 to 1.04 for a fifth, very soft one.  But ten frequencies hold four to six numbers only: along the other
+directions sigma is .0001 to .1 of a row's, and any error of a prediction, of no importance for a single row, would
+decide.  A tenth keeps such directions from carrying weight and costs little power: the significance of blur, defocus,
+aperture, crosstalk, cut-off and glare is at most 13 % higher (and up to 4 % lower) with .001.  Whitened residuals of a
+true model have a mean square of .37 to .57 over the ten rows therefore (a tenth of the trace of stated^-1 sampling), not
+1: their sigmas are not too wide, the rows hold fewer numbers than they are.
 """
 Float = NDArray[np.float64]
 

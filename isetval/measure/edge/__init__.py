@@ -3,7 +3,8 @@
 A region goes through these steps, one file each: ``measure_regions`` (``sfr``: all of it), ``samples`` (pixels of one
 plane, linear), ``geometry`` (regions side by side, lines, distances), ``first_look`` (crossings, robust line, is it one
 edge?), ``alternating_fit`` (the estimator: ``line_refinement`` with ``row_shifts``, ``illumination``, ``spline_bins``,
-``esf_fit`` with ``esf_prior`` and ``marginal_likelihood``, in rounds), ``spectrum`` (MTF and its covariance), ``verdict``
+``esf_fit`` with ``esf_prior`` and ``marginal_likelihood``, in rounds),
+``clipped_tails`` (noise cut off at white), ``spectrum`` (MTF and its covariance), ``verdict``
 with ``overshoot``, ``result_of_fit`` and ``sfr_result``.  Beside them: ``iso12233`` (published procedures),
 ``edge_finding`` with ``contours`` (``find_edges``), ``field_and_focus`` (curves over the field, through focus).
 """

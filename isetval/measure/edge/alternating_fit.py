@@ -282,7 +282,7 @@ def _full_fit(task: _Task, state: _State) -> _FullFit:
         lit=np.asarray(state.illumination[:, 3:].any(axis=1)),
         choices=task.chosen,
     )
-    return _FullFit(fits, _table(fits), noise, binned, distance)
+    return _FullFit(fits, esf_tables(fits), noise, binned, distance)
 
 
 def equal_cells(binned: Binned, expected_dn: Float, undithered: NDArray[np.bool_]) -> Float:
@@ -299,7 +299,7 @@ def equal_cells(binned: Binned, expected_dn: Float, undithered: NDArray[np.bool_
     return out
 
 
-def _table(fits: EsfFits) -> Shapes:
+def esf_tables(fits: EsfFits) -> Shapes:
     """ESFs on the core grid."""
     value, slope = _grid_splines()
     step = np.where(np.abs(fits.step) > 0, fits.step, 1e-300)[:, None]

@@ -13,6 +13,7 @@ from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError
 from isetval.core.threads import one_blas_thread
 from isetval.measure.edge.alternating_fit import FittedEdges, checked_choices, measure_edges
+from isetval.measure.edge.clipped_tails import STEPS, cut_tails, restored
 from isetval.measure.edge.first_look import FirstLooks, first_look, first_width, prospects
 from isetval.measure.edge.geometry import Stack, same_grid, stacked
 from isetval.measure.edge.iso12233 import compatibility_sfr
@@ -202,6 +203,32 @@ def _turned(job: _Job) -> _Job:
 
 
 def _fitted(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None) -> list[FittedEdges]:
+    """Fitted edges; those whose noise is cut off at white are fitted again with what was cut off."""
+    out = []
+    for fitted in _fitted_as_is(stack, looks, width_px, choices):
+        again = cut_tails(fitted)
+        whole = np.setdiff1d(np.arange(len(fitted)), again)
+        out += [fitted.pick(whole)] if len(whole) else []
+        out += _fitted_with_tails(fitted.pick(again), looks, width_px, choices) if len(again) else []
+    return out
+
+
+def _fitted_with_tails(
+    fitted: FittedEdges, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None
+) -> list[FittedEdges]:
+    """The fits again, with samples restored from the fits before."""
+    todo = [fitted]
+    for _ in range(STEPS):
+        done = []
+        for part in todo:
+            asked = part.places
+            for new in _fitted_as_is(restored(part), looks.pick(asked), width_px[asked], choices):
+                done.append(replace(new, places=asked[new.places]))
+        todo = done
+    return todo
+
+
+def _fitted_as_is(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None) -> list[FittedEdges]:
     """Fitted edges; none of a region whose equations have no solution."""
     try:
         return measure_edges(stack, looks, width_px, floor=ROUNDING_VARIANCE, choices=choices)
@@ -211,7 +238,7 @@ def _fitted(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[s
     out = []
     for i in range(len(stack)):
         one = np.array([i])
-        for fitted in _fitted(stack.pick(one), looks.pick(one), width_px[one], choices):
+        for fitted in _fitted_as_is(stack.pick(one), looks.pick(one), width_px[one], choices):
             out.append(replace(fitted, places=one))
     return out
 

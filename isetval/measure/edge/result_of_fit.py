@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, Roi
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.alternating_fit import FittedEdges
+from isetval.measure.edge.clipped_tails import clipped_share, lost_information
 from isetval.measure.edge.esf_fit import EsfFit, solve_lower
 from isetval.measure.edge.geometry import EdgeLines, origin_of
 from isetval.measure.edge.samples import Oecf
@@ -47,6 +48,8 @@ def results_of_fit(requests: Sequence[Request], fitted: FittedEdges, seen: Seen)
     misfit = np.sqrt(np.maximum(fitted.fits.chi2 / np.maximum(fitted.fits.cells - 12, 1), 1.0))
     # sigma grows with misfit beyond the noise, and at shallow angles (few independent phases)
     inflation = misfit * np.maximum(SHALLOW_DEG / np.maximum(fitted.angle_deg, 0.1), 1.0)
+    # restored tails lower the scatter and hold no information: both by the same share
+    inflation /= 1 - np.array([lost_information(clipped_share(fitted, i)) for i in range(len(fitted))])
     sigma = crossings.sigma * inflation[:, None]
     out = []
     for i, (request, verdict) in enumerate(zip(requests, verdicts, strict=True)):

@@ -5,7 +5,8 @@ noise), ``saturated``, ``clipped_black``, ``angle_near_0``, ``angle_near_45``, `
 (pixels see too few positions of the edge), ``edge_near_border``, ``too_blurred``, ``two_edges`` (more
 than one transition, a corner or a pattern), ``overshoot`` (beyond what sharpening explains: a line or a gap).
 Warned: ``shallow_angle`` (below 3 degrees), ``short_edge`` (below 35, 70, 140 rows for one channel, greens, red
-or blue), ``clipped_black``, ``strong_shading``, ``mtf50_not_reached`` (the SFR stays above one half up to 2 cy/px).
+or blue), ``clipped_black``, ``clipped_white`` (the tail of the noise), ``strong_shading``, ``mtf50_not_reached`` (the
+SFR stays above one half up to 2 cy/px).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.measure.edge.alternating_fit import FittedEdges
+from isetval.measure.edge.clipped_tails import LEAST_CLIPPED, MAX_CLIPPED, clipped_share, has_clipped_patch
 from isetval.measure.edge.illumination import illumination_at
 from isetval.measure.edge.overshoot import Excursions, excursions, unexplained
 
@@ -27,7 +29,7 @@ GOOD_LENGTH_PX = {"MONO": 35, "G": 70, "Gr": 140, "Gb": 140, "R": 140, "B": 140}
 MIN_STEP_SIGMA = 5.0  # of a sample's noise; sigma of MTF50 is 6 % there in 100 x 100 px
 MIN_ANGLE_DEG = 0.75  # an edge of 76 px crosses one pixel: fewer phases are seen below
 SHALLOW_DEG = 3.0  # users of other tools report doubtful numbers below; sigma is widened by 3 degrees / angle
-MAX_CLIPPED = 0.08  # of the bright side at white: the tail of a normal beyond 1.4 sigma, which moves its mean by .04 sigma
+MAX_CUT = 0.08  # of the dark side at raw zero: the tail of a normal beyond 1.4 sigma, which moves its mean by .04 sigma
 MAX_CRUSHED = 0.5  # of the dark side at raw zero: the median is cut, the level unknown
 SECOND_EDGE = 0.12  # of the step, in patches of the plateaus: a choice, between noise (6 sigma is demanded too) and a second edge
 MISFIT = 0.07  # of the step, scatter at equal distance (or 4 sigma of noise): real edges show their noise, corners 10 to 24 %
@@ -142,10 +144,13 @@ def _clipping(flags: dict[str, str], warnings: dict[str, str], fitted: FittedEdg
     samples, distance, width = fitted.stack.members[i], fitted.distance_px[i], float(fitted.fits.width_px[i])
     if not (samples.clipped_high.any() or samples.clipped_low.any()):
         return
-    bright = distance > 2 * width
-    share = float(np.mean(samples.clipped_high[bright])) if bright.any() else 0.0
-    if share > MAX_CLIPPED or (share > 0 and _clipped_patch(samples.clipped_high)):
+    share = clipped_share(fitted, i)
+    if share > MAX_CLIPPED or (share > 0 and has_clipped_patch(samples.clipped_high)):
         flags["saturated"] = f"{100 * share:.1f} % of the bright side is at the white level; expose less"
+    elif share > LEAST_CLIPPED:
+        warnings["clipped_white"] = (
+            f"{100 * share:.1f} % of the bright side is at white, the tail of its noise: estimated from the rest"
+        )
     dark = distance < -2 * width
     low = float(np.mean(samples.clipped_low[dark])) if dark.any() else 0.0
     if low > MAX_CRUSHED and samples.black_dn > 0:
@@ -153,15 +158,8 @@ def _clipping(flags: dict[str, str], warnings: dict[str, str], fitted: FittedEdg
             f"{100 * low:.0f} % of the dark side is at raw zero, {samples.black_dn:g} DN below black: its level is unknown; "
             "do not subtract black twice"
         )
-    elif low > MAX_CLIPPED:
+    elif low > MAX_CUT:
         warnings["clipped_black"] = f"{100 * low:.0f} % of the dark side is at raw zero; its noise is cut and its mean biased up"
-
-
-def _clipped_patch(clipped: NDArray[np.bool_]) -> bool:
-    """Whether some patch of 8 x 8 samples is clipped for the most part: no tail of the noise but a level cut off."""
-    rows, cols = (n // 8 for n in clipped.shape)
-    patches = clipped[: 8 * rows, : 8 * cols].reshape(rows, 8, cols, 8).sum(axis=(1, 3))
-    return bool(patches.max() > 40)
 
 
 def _sides(flags: dict[str, str], fitted: FittedEdges, i: int) -> None:
