@@ -1,4 +1,4 @@
-"""What people quote of a whole session: conversion gain, read noise, PRNU, dark current, DSNU, per colour plane.
+"""What people quote of a whole session: conversion gain, read noise, PRNU, dark current, DSNU, per color plane.
 
 Derived from the same frames as the rows of single shots; marked ``summary`` and left out of comparisons,
 where they would count the data twice.
@@ -21,7 +21,7 @@ from isetval.core.quantity import Quantity
 from isetval.measure.noise import dark, photon_transfer
 from isetval.measure.shading import relative_illumination
 
-LEAST_PLACES = 6
+LEAST_PLACES = 6  # of the field: four terms of a fall-off, and two to check them by
 
 Frames = Mapping[str, Sequence[Capture]]
 

@@ -1,4 +1,4 @@
-"""Flats and darks: means, temporal and fixed variances, neighbour covariance, per colour plane."""
+"""Flats and darks: means, temporal and fixed variances, neighbor covariance, per color plane."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ DRAWS = {"dark": 12, "flat": 4}
 """Specimens over which differences of a rare pattern are averaged: a few hot pixels scatter by 1/sqrt(draws); a dark costs a
 tenth of a flat."""
 PLATEAU_SIGMA_DN = 0.3  # a clipped plane has no noise of its own: rounding
-SATURATED = 0.5
-TOUCHED = 1e-3
+SATURATED = 0.5  # of the pixels clipped: what is left is no distribution
+TOUCHED = 1e-3  # of the pixels clipped: beyond it the variance is biased by more than its sigma
 QUANTITIES = {
     "mean_dn": ("mean", "DN"),
     "trimmed_temporal_variance_dn2": ("temporal_variance", "DN^2"),
@@ -49,7 +49,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         if plane == "mosaic":
             if any(_clipped(captures, other) > TOUCHED for other in statistics if other != "mosaic"):
                 continue
-            rows += _neighbours(shot, conditions, plane_statistics)
+            rows += _neighbors(shot, conditions, plane_statistics)
             continue
         names = list(plane_statistics)
         here, there = [], []
@@ -109,8 +109,8 @@ def _column(entries: list[tuple[int, float]], n: int) -> Any:
     return out
 
 
-def _neighbours(shot: Shot, conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metric]:
-    """Neighbour covariance of the temporal noise: mean over the colour pairs, per direction."""
+def _neighbors(shot: Shot, conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metric]:
+    """Neighbor covariance of the temporal noise: mean over the color pairs, per direction."""
     rows = []
     for direction in ("h", "v"):
         parts = [statistics[name] for name in statistics if name.startswith(f"covariance_{direction}")]

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Float = NDArray[np.float64]
-FATAL = ("all_equal", "clipped_at_white", "clipped_at_zero", "mostly_black", "frames_identical")
-LARGEST = 1024
-TILE = 48
-LEAST_CONTRAST = 0.3
-LEAST_TILES = 3
-BLURRED_PX = 8.0
+FATAL = ("all_equal", "clipped_at_white", "clipped_at_zero", "frames_identical")
+LARGEST = 1024  # pixels a side that are looked at: drift, flicker and focus need no more, and a 12 MP frame would take seconds
+TILE = 48  # pixels: room for a blurred edge and for level ground on both sides of it
+LEAST_CONTRAST = 0.3  # of the mean: shading within a tile stays below, steps of a chart lie above
+LEAST_TILES = 3  # one grain of dust or one hot cluster is not a subject
+BLURRED_PX = 8.0  # plane pixels; a ramp of 16 mosaic pixels has an MTF50 of .6 / 16 = .04 cy/px: no lens in focus is that soft
 BLACK_ADVICE = "take the black level from dark frames of the same mode"
 OFFSET_ADVICE = "frames are at black, yet the light begins at another exposure than 0: the lamp or the shutter starts late"
 
@@ -317,7 +317,7 @@ def _linearity(times: Float, means: Float, lowest: float) -> list[Finding]:
 
 
 def edge_width_px(view: NDArray[np.uint16], black_dn: float, noise_dn: float) -> float:
-    """Width of the sharpest edges of one colour plane, plane pixels; nan where there is no structure to tell from.
+    """Width of the sharpest edges of one color plane, plane pixels; nan where there is no structure to tell from.
 
     A tile of 48 x 48 pixels is structured if its values (means of 3 x 3, best plane removed) spread by more than .3 of
     their mean and 12 sd of their noise; its width is the spread over the steepest slope across three pixels.  Of

@@ -24,15 +24,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.quantity import Quantity
 from isetval.measure.noise.linearity import Response
 
 Float = NDArray[np.float64]
 # 68 % intervals then hold 66 to 70 % for bends of 0 to 2e-6 per electron, 60 to 65 % for two to four times the prior's width
 SIGMA_FACTOR = 0.955
-SMALL_BEND_PER_E = 2.5e-6
-WIDE_BEND = 0.2
-# chi2 that the third power must gain over the second: only where that plainly fails
-CUBIC_PENALTY = 10.0
+SMALL_BEND_PER_E = 2.5e-6  # Astier et al. (2019) and others: 1e-6 to 3e-6 per electron in silicon
+WIDE_BEND = 0.2  # of the linear variance at full scale: a response that bends by more saturates
+CUBIC_PENALTY = 10.0  # in chi2 that the third power must gain over the second: only where that plainly fails
 FREE = {"line": "quadratic", "straight": "straight2"}
 
 
@@ -265,3 +265,11 @@ def point_variance(points: Points, model: Float, slope: float) -> Float:
 def is_poor(fit: CurveFit) -> bool:
     """Whether chi2 is more than four sd above its degrees of freedom."""
     return fit.chi2 > fit.dof + 4 * math.sqrt(2 * max(fit.dof, 1))
+
+
+def bend_coefficient(fit: CurveFit, *, straightened: bool) -> Quantity:
+    """Coefficient c of the quadratic fit, or of the straightened one where the response is known; never averaged."""
+    best = fit.fits.get("straight2" if straightened else "quadratic", fit.fits.get("quadratic"))
+    if best is None:
+        return Quantity(fit.quadratic, fit.quadratic_sigma)
+    return Quantity(float(best.coefficients[2]), math.sqrt(float(best.covariance[2, 2])))

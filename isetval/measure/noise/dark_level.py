@@ -17,12 +17,10 @@ from isetval.measure.noise.moments import Moments, central, frame_moments
 from isetval.measure.noise.quantization import QuantizedNoise, fit_quantized, quantization_variance
 from isetval.measure.noise.statistics import noisy_limit, row_and_frame_scatter
 
-EXACT_BELOW_DN = 0.75
-UNRELIABLE_BELOW_DN = 0.25
-CLIPPED_SHARE = 1e-3
-MAX_DEFECT_SHARE = 0.02
-
-
+EXACT_BELOW_DN = 0.75  # above, var - 1/12 errs by less than 1e-4 of itself at any black fraction: 4 exp(-2 pi^2 .75^2)
+UNRELIABLE_BELOW_DN = 0.25  # guide on sensors, section 4: at .17 DN the fit errs by up to 32 %, at .34 DN by .2 %
+CLIPPED_SHARE = 1e-3  # at zero: a normal distribution cut at 3.1 sd, whose mean moves by 3e-4 sd
+MAX_DEFECT_SHARE = 0.02  # more are no defects but structure, and nothing is left out
 TAG_DIFFERS = "black_level_differs_from_tag"
 LEAST_DIFFERENCE_DN = 0.1  # less changes a gain by under .1 % from 100 DN on
 TAG_SD = 4.0  # four planes and a few times are judged: one false alarm in some thousand

@@ -22,7 +22,7 @@ from isetval.core.quantity import Quantity
 from isetval.measure.noise.moments import Moments
 
 Float = NDArray[np.float64]
-MAX_OUTLIER_SHARE = 0.2
+MAX_OUTLIER_SHARE = 0.2  # more are structure, and nothing is left out
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ PLATEAU_SD = 4.5  # of one pixel: a normal distribution reaches further once in 
 FALLEN_SD = 4.0  # by which a brighter level's variance must lie lower to be called saturated
 LEAST_LEVELS = 6  # with fewer, leaving one out always mends a fit
 LEAST_GAIN = 16.0  # in chi2, four sd: one level of 16 is that far out once in 1000 series
-MOST_SCATTER = 0.5
+MOST_SCATTER = 0.5  # relative: variances that mean nothing; whatever chi2 is left then is left
 FitOf = Callable[[LevelSeries, float], CurveFit]
 
 
@@ -133,7 +133,6 @@ def _with_scatter(series: LevelSeries, fit_of: FitOf, choices: Mapping[str, Any]
             trial = fit_of(series, candidate)
             return trial.chi2 - trial.dof
 
-        # a half: variances that mean nothing; whatever is left then is left
         scatter = float(brentq(excess, 0.0, MOST_SCATTER, rtol=1e-3)) if excess(MOST_SCATTER) < 0 else MOST_SCATTER
     return Settled(series, fit_of(series, float(scatter)), fit.chi2, fit.dof, float(scatter), (*flags, "poor_fit"))
 

@@ -21,12 +21,12 @@ from isetval.measure.noise.quantization import fit_quantized, unrounded_variance
 from isetval.measure.noise.setups import Setups
 from isetval.measure.noise.statistics import line_scatter, noisy_limit
 
-MAX_DEFECT_SHARE = 0.02
-SMALL_SPREAD_DN = 0.4
-ROUNDED_BELOW_DN2 = 0.6
-SKEWNESS_ERROR, SKEWED = 0.02, 0.3
-ALL_PATTERNS_PIXELS = 4_000_000
-PATTERN_FROM = 0.1
+MAX_DEFECT_SHARE = 0.02  # more are no defects but structure, and nothing is left out
+SMALL_SPREAD_DN = 0.4  # light that spreads by less leaves the phase of rounding to the level; by more, all phases occur alike
+ROUNDED_BELOW_DN2 = 0.6  # noise of .77 DN: above, rounding adds 1/12 to 1e-4 of itself
+SKEWNESS_ERROR, SKEWED = 0.02, 0.3  # few electrons are skewed: where by .3, the fit of a normal distribution errs by up to 2 %
+ALL_PATTERNS_PIXELS = 4_000_000  # of all levels: half a second of work; more do not narrow PRNU, whose error is the specimen's
+PATTERN_FROM = 0.1  # of the brightest level: patterns are weighted with the fourth power of the mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +243,6 @@ def _exact_rounding(
     if spread > SMALL_SPREAD_DN**2:
         return Quantity(unrounded_variance(variance.value) + 1 / 12, variance.sigma, "DN^2")
     exact = fit_quantized(views, bad).temporal_variance_dn2
-    # the skewness of few electrons shifts the fit of a normal distribution: by up to two percent where it is .3
     doubt = SKEWNESS_ERROR * min(1.0, abs(_skewness(views[0])) / SKEWED)
     return Quantity(exact.value + 1 / 12, math.hypot(exact.sigma, doubt * exact.value), "DN^2")
 

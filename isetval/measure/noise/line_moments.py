@@ -21,10 +21,10 @@ from isetval.measure.noise.moments import column_profile, leave_out
 Float = NDArray[np.float64]
 Values = NDArray[Any]
 Phase = tuple[int, int]
-BLOCK_VALUES = 1 << 18
-SMALL_PIXELS = 1 << 17
-SAMPLE_ROWS = 24
-WILD_SD = 8.0
+BLOCK_VALUES = 1 << 18  # 1 MB of float32: a block stays in the cache while all planes are told apart
+SMALL_PIXELS = 1 << 17  # planes up to here are sampled whole, at the cost of one block
+SAMPLE_ROWS = 24  # the column profile to a fifth of one pixel's noise, 1 / sqrt(24)
+WILD_SD = 8.0  # normal noise reaches it once in 1e15 values
 
 
 @dataclass(frozen=True, eq=False)

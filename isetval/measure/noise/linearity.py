@@ -243,3 +243,14 @@ def nonlinearity(response: MeanResponse, mean_dn: Float) -> Quantity:
     powers = np.array([top, top**2])
     value = float(powers @ np.array([bend.a, bend.b]))
     return Quantity(value, float(math.sqrt(max(powers @ bend.covariance @ powers, 0.0))))
+
+
+def quantum_efficiency(response: MeanResponse, mean_dn: Float, gain: Quantity) -> Quantity:
+    """Electrons per photon, %: rate of the straightened means over stated photons, over K; nan without photons."""
+    if response.basis != "photon numbers":
+        return Quantity(math.nan, math.nan, "%")
+    linear = mean_dn if response.response is None else response.response.linear(mean_dn)
+    rate = response.rate(linear)
+    value = float(np.average(rate, weights=response.exposure[response.exposure > 0]))
+    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size)
+    return Quantity(100 * value, 100 * error, "%").over(gain, "%")

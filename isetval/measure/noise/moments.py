@@ -1,6 +1,6 @@
 """Temporal moments of frames of one set-up: drift and flicker removed, one pass, in blocks of rows.
 
-Model of a frame f of one colour plane, row r, column c (DN above black):
+Model of a frame f of one color plane, row r, column c (DN above black):
 
     x_frc = A_rc + D_fr T_c + e_frc
 
@@ -26,14 +26,14 @@ from isetval.core.quantity import Quantity
 
 Float = NDArray[np.float64]
 Values = NDArray[Any]
-BLOCK_PIXELS = 1 << 17
-LARGE_PIXELS = 200_000
-CENTER = 384
+BLOCK_PIXELS = 1 << 17  # 1 MB of float64: a block of all frames stays near the processor
+LARGE_PIXELS = 200_000  # maps of every pixel of more would cost more than all the rest
+CENTER = 384  # 147 456 pixels tell a variance to .4 %
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Frame statistics of one colour plane.
+    """Frame statistics of one color plane.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def frame_moments(
     dtype: Any = None,
     bad: NDArray[np.bool_] | None = None,
 ) -> Moments:
-    """Moments of same-sized frames of one colour plane.
+    """Moments of same-sized frames of one color plane.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def frame_moments(
     black_dn : float
         Subtracted first.
     keep : bool
-        Keep the residuals (needed for neighbour covariances).
+        Keep the residuals (needed for neighbor covariances).
     bad : bool array (rows, cols), optional
         Pixels to leave out: they take their row's mean and have no variance.
     dtype : numpy dtype, optional

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from isetval.core.quantity import Quantity
 
 Float = NDArray[np.float64]
-MIN_EXPECTED = 10.0
-MIN_CODES = 5
-MAX_PIXELS = 60_000
-MAX_CODES = 64
-FLOOR_SD = 0.02
+MIN_EXPECTED = 10.0  # a code expected ten times is missing by chance once in e^10 = 22 000
+MIN_CODES = 5  # a code and its four neighbors
+MAX_PIXELS = 60_000  # of two frames they tell the noise to .3 %; the time grows with them
+MAX_CODES = 64  # noise below .75 DN spans a dozen; stray codes beyond are joined into the last
+FLOOR_SD = 0.02  # DN: smaller cannot be told from none, and its logarithm runs away
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ def code_histogram(views: Sequence[NDArray[Any]]) -> tuple[NDArray[np.int64], in
 def code_statistics(views: Sequence[NDArray[Any]], white_dn: float) -> dict[str, Quantity]:
     """Clipped fractions, share of missing codes and parity imbalance of frames of one plane.
 
-    A code is *missing* when it never occurs although its four neighbours lead to expect ten counts or
+    A code is *missing* when it never occurs although its four neighbors lead to expect ten counts or
     more; only the middle 90 % of the histogram is judged.  The parity imbalance is (even - odd) / all.
     Both are nan when fewer than five codes are in use.
     """

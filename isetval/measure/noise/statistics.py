@@ -1,6 +1,6 @@
 """Fast noise statistics of one set-up: means, temporal and fixed variances, covariances, codes.
 
-Building blocks for campaigns: vectorised, no optimiser, every number with the standard deviation that
+Building blocks for campaigns: vectorized, no optimizer, every number with the standard deviation that
 sampling gives it, and the correlations that are not negligible.
 """
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.quantity import Quantity
+from isetval.core.threads import one_blas_thread
 from isetval.measure.noise.fixed_pattern import FixedPattern, decompose
 from isetval.measure.noise.moments import Moments, frame_moments, neighbor_covariances
 from isetval.measure.noise.quantization import code_statistics
@@ -26,7 +27,7 @@ NAN = float("nan")
 
 @dataclass(frozen=True, eq=False)
 class PlaneStatistics:
-    """Statistics of one colour plane (or ``"mosaic"``) of one set-up.
+    """Statistics of one color plane (or ``"mosaic"``) of one set-up.
 
     ``quantities`` maps names to value, sigma, unit and the part ``shared`` with other captures of the same
     specimen; ``correlation`` is the sampling correlation of ``sigma`` in the order of ``quantities``.
@@ -62,7 +63,7 @@ def flat_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degr
     Returns
     -------
     dict
-        Plane name -> PlaneStatistics, and ``"mosaic"`` with neighbour covariances of temporal noise.
+        Plane name -> PlaneStatistics, and ``"mosaic"`` with neighbor covariances of temporal noise.
         Means are above the captures' black level.  Units DN and DN^2.
 
     Raises
@@ -79,11 +80,12 @@ def dark_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degr
 
 
 def plane_moments(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, keep: bool = False) -> Moments:
-    """Moments of one colour plane of same-sized captures, DN above their black level."""
+    """Moments of one color plane of same-sized captures, DN above their black level."""
     views = [plane_view(capture, plane, roi)[0] for capture in captures]
     return frame_moments(views, plane_black_dn(captures[0], plane), keep=keep)
 
 
+@one_blas_thread()
 def _statistics(captures: Sequence[Capture], roi: Roi | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
     check_frames(captures)
     check_region(captures[0], roi)

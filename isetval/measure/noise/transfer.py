@@ -13,12 +13,12 @@ from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.quantity import Quantity, root
 from isetval.core.threads import one_blas_thread
-from isetval.measure.noise.curve import Anchor, CurveFit, Points, fit_curve
+from isetval.measure.noise.curve import Anchor, CurveFit, Points, bend_coefficient, fit_curve
 from isetval.measure.noise.dark_level import DarkLevel, dark_level
-from isetval.measure.noise.level_selection import cut_series, left_out_level, settle
+from isetval.measure.noise.level_selection import Settled, cut_series, left_out_level, settle
 from isetval.measure.noise.levels import Level, LevelSeries, measure_levels, prnu_percent, with_pattern
 from isetval.measure.noise.line_moments import plane_line_moments
-from isetval.measure.noise.linearity import LEAST_LEVELS, MeanResponse, mean_response, nonlinearity
+from isetval.measure.noise.linearity import LEAST_LEVELS, MeanResponse, mean_response, nonlinearity, quantum_efficiency
 from isetval.measure.noise.lyu2022 import single_level_gain
 from isetval.measure.noise.moments import frame_moments, neighbor_covariances
 from isetval.measure.noise.setups import Setups, sort_into_setups
@@ -30,7 +30,7 @@ LEAST_LIGHT_DN = 5.0  # below, a black level that is .4 DN off makes a jump by i
 CORRELATED = 0.05  # of the variance: brighter-fatter reaches 2 % at full well, smoothing starts at 10 %
 COVARIANCE_SIDE = 512  # mosaic pixels: 2.6e5 pairs tell a correlation of .2 %
 BRIGHT_SHARE = 0.4  # of the highest mean: repulsion grows with its square, darker levels weigh nothing
-CLEAR_SD = 3.0
+CLEAR_SD = 3.0  # one false flag in 370
 
 
 @dataclass(eq=False)
@@ -159,10 +159,9 @@ def _plane_transfer(of: _Series, plane: str, series: LevelSeries, method: str, c
         series = series.with_level(top)
     if method == "lyu2022":
         return _lyu2022(series, dark, plane, flags)
-    anchor = _anchor(dark)
-    if anchor is None and len(used) < 2:
+    if _anchor(dark) is None and len(used) < 2:
         return _one_level_without_dark(series, dark, plane, flags)
-    return _from_curve(of, series, plane, flags, anchor, choices)
+    return _from_curve(of, series, plane, flags, choices)
 
 
 def _anchor(dark: DarkLevel | None) -> Anchor | None:
@@ -177,31 +176,18 @@ def _from_curve(
     series: LevelSeries,
     plane: str,
     flags: tuple[str, ...],
-    anchor: Anchor | None,
     choices: Mapping[str, Any],
 ) -> PlaneTransfer:
     """Gain, read noise and bends from the curve of variance against mean."""
     dark = of.dark.get(plane)
-
-    def fit_of(part: LevelSeries, scatter: float = 0.0) -> CurveFit:
-        response = _response(of, part).response
-        points = part.points().scattered(scatter)
-        return fit_curve(points, anchor, full_scale_dn=part.range_dn, response=response, weights=choices.get("weights"))
-
-    settled = settle(series, fit_of, choices)
+    settled, gain = _settled_fit(of, series, choices, plane)
     series, fit = settled.series, settled.fit
     used = [level for level in series.levels if level.used]
     response = _response(of, series)
-    gain = Quantity(fit.gain, fit.gain_sigma, "DN/e-")
-    if not gain.value > 0:
-        raise MeasurementError(
-            f"plane {plane}: the variance does not rise with the mean (K = {gain}); the frames look clipped, smoothed or not raw"
-        )
     read_dn = _read_noise_dn(fit, dark)
     neighbors = _covariance_per_e(of, used, plane)
-    bend = _bend(fit, response)
-    flags += settled.flags
-    flags += () if dark is not None else ("read_noise_extrapolated",)
+    bend = bend_coefficient(fit, straightened=response.response is not None)
+    flags += (*settled.flags, *(() if dark is not None else ("read_noise_extrapolated",)))
     flags += _doubts(used, response, bend, neighbors, dark)
     return PlaneTransfer(
         plane=plane,
@@ -215,24 +201,45 @@ def _from_curve(
         nonlinearity=nonlinearity(response, _means(used)),
         brighter_fatter_per_e=Quantity(-bend.value, bend.sigma, "1/e-") if response.known else Quantity(NAN, NAN, "1/e-"),
         neighbor_covariance_per_e=neighbors,
-        quantum_efficiency=_quantum_efficiency(response, used, gain),
+        quantum_efficiency=quantum_efficiency(response, _means(used), gain),
         exposure_offset=response.offset,
         linearity_from=response.basis,
         level_scatter_percent=100 * settled.scatter,
         saturation_cut_dn=series.cut_dn,
-        cut_spread=_cut_spread(series.points().scattered(settled.scatter), anchor, response, fit),
+        cut_spread=_cut_spread(series.points().scattered(settled.scatter), _anchor(dark), response, fit),
         chi2=settled.chi2,
         dof=settled.dof,
         levels=series.levels,
         flags=tuple(dict.fromkeys(flags)),
         fit=fit,
-        choices={
-            "cut_dn": series.cut_dn,
-            "weights": dict(fit.weights),
-            "off_curve": left_out_level(series),
-            "level_scatter": settled.scatter,
-        },
+        choices=_choices(settled),
     )
+
+
+def _settled_fit(of: _Series, series: LevelSeries, choices: Mapping[str, Any], plane: str) -> tuple[Settled, Quantity]:
+    """The curve, and the gain it gives."""
+    anchor = _anchor(of.dark.get(plane))
+
+    def fit_of(part: LevelSeries, scatter: float = 0.0) -> CurveFit:
+        points, response = part.points().scattered(scatter), _response(of, part).response
+        return fit_curve(points, anchor, full_scale_dn=part.range_dn, response=response, weights=choices.get("weights"))
+
+    settled = settle(series, fit_of, choices)
+    gain = Quantity(settled.fit.gain, settled.fit.gain_sigma, "DN/e-")
+    if not gain.value > 0:
+        raise MeasurementError(
+            f"plane {plane}: the variance does not rise with the mean (K = {gain}); the frames look clipped, smoothed or not raw"
+        )
+    return settled, gain
+
+
+def _choices(settled: Settled) -> dict[str, Any]:
+    return {
+        "cut_dn": settled.series.cut_dn,
+        "weights": dict(settled.fit.weights),
+        "off_curve": left_out_level(settled.series),
+        "level_scatter": settled.scatter,
+    }
 
 
 def _means(used: Sequence[Level]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -271,30 +278,6 @@ def _doubts(
     if share > CORRELATED and neighbors.value > 5 * neighbors.sigma:
         flags += ("neighbors_correlated",)
     return flags
-
-
-def _bend(fit: CurveFit, response: MeanResponse) -> Quantity:
-    """Coefficient c of the quadratic fit, or of the straightened one where the response is known; never averaged."""
-    if response.response is not None and "straight2" in fit.fits:
-        best = fit.fits["straight2"]
-    elif "quadratic" in fit.fits:
-        best = fit.fits["quadratic"]
-    else:
-        return Quantity(fit.quadratic, fit.quadratic_sigma)
-    return Quantity(float(best.coefficients[2]), math.sqrt(float(best.covariance[2, 2])))
-
-
-def _quantum_efficiency(response: MeanResponse, used: Sequence[Level], gain: Quantity) -> Quantity:
-    """Electrons per photon, %: rate of the straightened means over K."""
-    if response.basis != "photon numbers":
-        return Quantity(NAN, NAN, "%")
-    mean = _means(used)
-    linear = mean if response.response is None else response.response.linear(mean)
-    weight = response.exposure[response.exposure > 0]
-    rate = response.rate(linear)
-    value = float(np.average(rate, weights=weight))
-    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size)
-    return Quantity(100 * value, 100 * error, "%").over(Quantity(gain.value, gain.sigma, gain.unit), "%")
 
 
 def _read_noise_dn(fit: CurveFit, dark: DarkLevel | None) -> Quantity:
