@@ -92,10 +92,11 @@ class _PlacedReader:
     folder: Path
 
     def __call__(self, name: str, file: str) -> Capture:
-        from isetval.files.dng import place_on_sensor, read_dng
+        from isetval.files.capture_file import read_capture
+        from isetval.files.dng import place_on_sensor
 
         shot, path = self.shots[name], self.folder / file
-        capture = read_dng(path)
+        capture = read_capture(path)
         _check_exposure(capture.exposure, shot, path)
         window = (shot.window or (0, 0))[:2]
         placed: Capture = place_on_sensor(capture, self.sensor, (window[0], window[1]))
@@ -144,12 +145,12 @@ def _first_readable(files: Sequence[str], path: Path) -> Capture:
     InputError
         The first file's reason, if none can be read.
     """
-    from isetval.files.dng import read_dng
+    from isetval.files.capture_file import read_capture
 
     reasons = []
     for file in files:
         try:
-            capture: Capture = read_dng(path.parent / file)
+            capture: Capture = read_capture(path.parent / file)
         except InputError as error:
             reasons.append(error)
         else:

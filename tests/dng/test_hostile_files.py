@@ -69,6 +69,14 @@ def test_a_long_text_is_cut(make_dng):
     assert len(read_dng(make_dng(t270=(2, b"x" * 300_000))).provenance["description"]) == 10_000
 
 
+def test_a_long_list_of_numbers_does_not_fill_the_sentence(make_dng):
+    path = make_dng(t50829=(4, [2, 4, 40, 50] + [7] * 4000))
+    refused(path, "ActiveArea of 4004 numbers, [2, 4, 40, 50]")
+    with pytest.raises(InputError) as caught:
+        read_dng(path)
+    assert len(str(caught.value).replace(str(path), "")) < 200
+
+
 def test_a_directory_of_many_tags(make_dng):
     refused(make_dng(**{f"t{code}": (3, [1]) for code in range(60_000, 61_000)}), "tags; isetval needs at most 1000")
 

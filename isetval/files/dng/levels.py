@@ -45,7 +45,8 @@ def active_area(path: object, tags: RawTags, *, rows: int, cols: int) -> tuple[A
         return (0, 0, rows, cols), ()
     area = tuple(int(v) for v in numbers if v is not None)
     if len(area) != 4 or not (0 <= area[0] < area[2] <= rows and 0 <= area[1] < area[3] <= cols):
-        raise refusal(path, f"ActiveArea {list(area)}", f"a rectangle inside the {rows} x {cols} frame", "convert the file again")
+        found = f"ActiveArea of {len(area)} numbers, {list(area[:4])}"
+        raise refusal(path, found, f"a rectangle inside the {rows} x {cols} frame", "convert the file again")
     odd = area[0] % 2 or area[1] % 2
     words = (
         f"ActiveArea starts at row {area[0]}, column {area[1]}: an odd origin, misread by many converters; the tag is followed"

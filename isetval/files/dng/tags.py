@@ -139,8 +139,7 @@ def open_tags(path: object, data: bytes) -> Iterator[RawTags]:
     InputError
         If this is not a DNG, holds no such image, or its directories are broken.
     """
-    token = _QUIET.set(True)
-    try:
+    with quiet_parser():
         check_directories(path, data)
         try:
             tiff = tifffile.TiffFile(io.BytesIO(data))
@@ -163,6 +162,14 @@ def open_tags(path: object, data: bytes) -> Iterator[RawTags]:
             ) from None
         finally:
             tiff.close()
+
+
+@contextmanager
+def quiet_parser() -> Iterator[None]:
+    """Tifffile keeps to itself what it would log while a file is open here, in this thread."""
+    token = _QUIET.set(True)
+    try:
+        yield
     finally:
         _QUIET.reset(token)
 
