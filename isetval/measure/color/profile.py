@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.errors import InputError, MeasurementError
-from isetval.measure.color.repeated_frames import StripPixels, strip_over_frames
+from isetval.measure.color.repeated_frames import StripPixels, pattern_variance, strip_over_frames
 
 Float = NDArray[np.float64]
 Pair = tuple[float, float]
@@ -136,8 +136,8 @@ def line_profile(
     values, sigmas, fixed, pixels = {}, {}, {}, {}
     clipped = np.zeros(middle.size, dtype=bool)
     for plane, strip in strips.items():
-        values[plane], sigmas[plane], pixels[plane] = _bins(strip, edges)
-        fixed[plane] = _fixed_sigma(strip, sigmas[plane])
+        values[plane], pixels[plane] = _bins(strip, edges)
+        sigmas[plane], fixed[plane] = _sigma(strip, values[plane], pixels[plane])
         clipped |= np.bincount(strip.bin, strip.clipped.astype(float), minlength=middle.size) > 0
     if "Gr" in values:
         values["G"], sigmas["G"] = _green(values, sigmas)
@@ -198,8 +198,8 @@ def _bin_edges(first: Float, last: Float, *, width: float, step_px: float) -> Fl
     return np.arange(0, length + 1e-9, step_px)
 
 
-def _bins(strip: StripPixels, edges: Float) -> tuple[Float, Float, NDArray[np.int64]]:
-    """Mean at each bin's middle, its sigma and pixels."""
+def _bins(strip: StripPixels, edges: Float) -> tuple[Float, NDArray[np.int64]]:
+    """Mean at each bin's middle, and its pixels."""
     count = edges.size - 1
     pixels = np.bincount(strip.bin, minlength=count)
     safe = np.maximum(pixels, 1)
@@ -214,33 +214,30 @@ def _bins(strip: StripPixels, edges: Float) -> tuple[Float, Float, NDArray[np.in
         value[filled] = (mean + slope * (middle - place))[filled]
     else:
         value[filled] = mean[filled]
-    least = _least_variance(strip, count)
-    sigma = np.where(filled, np.sqrt(np.maximum(_pooled(strip.bin, strip.variance_dn2, count), least) / safe), np.nan)
-    return value, sigma, pixels.astype(np.int64)
+    return value, pixels.astype(np.int64)
 
 
-def _pooled(index: NDArray[np.intp], variance: Float, count: int) -> Float:
-    """Mean of the pixels' variances about each bin, over ``POOLED_BINS`` bins."""
+def _sigma(strip: StripPixels, value: Float, pixels: NDArray[np.int64]) -> tuple[Float, Float]:
+    """Standard deviation of the bins' means, and the part of it that is fixed pattern (0 for one frame)."""
+    safe = np.maximum(pixels, 1)
+    spatial, number = _pooled(strip.bin, strip.variance_dn2, value.size)
+    if strip.frames == 1:
+        return np.where(pixels > 0, np.sqrt(np.maximum(spatial, ROUNDING_VARIANCE) / safe), np.nan), np.zeros_like(value)
+    temporal, _ = _pooled(strip.bin, strip.frame_variance_dn2, value.size)
+    fixed = np.zeros_like(value)
+    # a bin without pixels has no level; pixels' differences along one direction overlap: relative variance 3 / number
+    there = np.isfinite(value)
+    scatter = np.sqrt(3 / number[there])
+    fixed[there] = pattern_variance(spatial[there], temporal[there], strip.frames, level=value[there], scatter=scatter)
+    sigma = np.where(pixels > 0, np.sqrt((temporal / strip.frames + fixed) / safe), np.nan)
+    return sigma, np.sqrt(fixed / safe)
+
+
+def _pooled(index: NDArray[np.intp], variance: Float, count: int) -> tuple[Float, Float]:
+    """Mean of the pixels' variances over ``POOLED_BINS`` bins about each bin, and the number of pixels in them."""
     window = np.ones(POOLED_BINS)
-    pixels = np.convolve(np.bincount(index, minlength=count), window, mode="same")
-    return np.asarray(np.convolve(np.bincount(index, variance, minlength=count), window, mode="same") / np.maximum(pixels, 1))
-
-
-def _least_variance(strip: StripPixels, count: int) -> Float:
-    """Rounding's share of the variance of the mean: noise of a frame beyond it makes it as random as itself."""
-    if strip.frames == 1:
-        return np.full(count, ROUNDING_VARIANCE)
-    temporal = _pooled(strip.bin, strip.frame_variance_dn2, count)
-    return np.asarray(np.maximum(ROUNDING_VARIANCE - temporal, 0) + temporal / strip.frames)
-
-
-def _fixed_sigma(strip: StripPixels, sigma: Float) -> Float:
-    """What remains of the bins' sigma when the temporal noise of all frames is taken off."""
-    if strip.frames == 1:
-        return np.zeros_like(sigma)
-    pixels = np.maximum(np.bincount(strip.bin, minlength=sigma.size), 1)
-    temporal = _pooled(strip.bin, strip.frame_variance_dn2, sigma.size) / (strip.frames * pixels)
-    return np.asarray(np.sqrt(np.maximum(sigma**2 - temporal, 0)))
+    pixels = np.maximum(np.convolve(np.bincount(index, minlength=count), window, mode="same"), 1)
+    return np.convolve(np.bincount(index, variance, minlength=count), window, mode="same") / pixels, pixels
 
 
 def _steady(mean: Float, place: Float, filled: NDArray[np.bool_]) -> NDArray[np.bool_]:

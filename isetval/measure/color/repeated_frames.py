@@ -15,11 +15,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares, nnls
 from scipy.special import chdtri
 
 from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
-from isetval.measure.color.patch_statistics import LEAST_VARIANCE, PatchRows, chart_patches_at, difference_variance, equal_crops
+from isetval.measure.color.patch_statistics import (
+    DIFFERENCE_VARIANCE_FACTOR,
+    LEAST_VARIANCE,
+    PatchRows,
+    chart_patches_at,
+    difference_variance,
+    equal_crops,
+)
 
 Float = NDArray[np.float64]
 PatchSums = tuple[NDArray[np.intp], "_FrameSums"]
@@ -112,16 +120,54 @@ def _split(sums: dict[str, list[PatchSums]], found: Sequence[PatchRows]) -> tupl
     frames = len(found)
     if frames == 1:
         return found[0].sigma_dn, np.zeros_like(found[0].sigma_dn)
-    temporal, fixed = np.zeros_like(found[0].mean_dn), np.zeros_like(found[0].mean_dn)
-    pixels = np.mean([f.pixels for f in found], axis=0)
+    temporal, spatial = np.zeros_like(found[0].mean_dn), np.zeros_like(found[0].mean_dn)
     for j, plane in enumerate(found[0].planes):
         for k, part in sums[plane]:
-            own = temporal_variance(part.pixel_variance, frames)
-            rest = difference_variance(part.mean, least=0.0) - own / frames
-            # frames without noise of their own round alike: the rounding is then a fixed error
-            rest = np.maximum(rest, np.maximum(LEAST_VARIANCE - own, 0))
-            temporal[k, j], fixed[k, j] = np.sqrt(own / (frames * pixels[k, j])), np.sqrt(rest / pixels[k, j])
-    return temporal, fixed
+            temporal[k, j] = temporal_variance(part.pixel_variance, frames)
+            spatial[k, j] = difference_variance(part.mean, least=0.0)
+    pixels, level = np.mean([f.pixels for f in found], axis=0), np.mean([f.mean_dn for f in found], axis=0)
+    fixed = pattern_variance(spatial, temporal, frames, level=level, scatter=np.sqrt(DIFFERENCE_VARIANCE_FACTOR / pixels))
+    return np.sqrt(temporal / (frames * pixels)), np.sqrt(fixed / pixels)
+
+
+def pattern_variance(spatial: Float, temporal: Float, frames: int, *, level: Float, scatter: Float) -> Float:
+    """Variance of the pixels' fixed pattern in regions of one sensor, of the regions' shape.
+
+    Parameters
+    ----------
+    spatial, temporal : array of any shape
+        Variance from pixel to pixel of the mean of the frames, and temporal variance of one frame, in DN^2.
+    frames : int
+    level : array
+        Mean above black in DN.
+    scatter : array
+        Relative standard deviation of ``spatial``.
+
+    Notes
+    -----
+    The estimate of one region, ``spatial - temporal / frames``, scatters by more than a good sensor's pattern and is then
+    often negative; cut at 0 it would read high.  Offsets and gains of pixels give ``d^2 + p^2 level^2`` everywhere: these
+    two numbers are fitted to all regions, robustly, and a region keeps its own where it differs by more than 3 sigma
+    (texture of the target).
+    """
+    averaged = temporal / frames
+    rest = (spatial - averaged).ravel()
+    terms = np.stack([np.ones(rest.size), (level.ravel() / max(float(np.abs(level).max()), 1e-9)) ** 2], axis=1)
+    sigma = (scatter * np.maximum(averaged, LEAST_VARIANCE)).ravel()
+    start = np.full(2, max(float(np.median(rest)) / 2, 1e-6))
+    weighted, wanted = terms / sigma[:, None], rest / sigma
+
+    def misfit(found: Float) -> Float:
+        return np.asarray(weighted @ found - wanted)
+
+    found = least_squares(misfit, start, bounds=(0, np.inf), loss="soft_l1").x
+    for _ in range(2):
+        sigma = scatter.ravel() * np.maximum(averaged.ravel() + terms @ found, LEAST_VARIANCE)
+        near = np.abs(rest - terms @ found) <= 3 * sigma
+        found = nnls(terms[near] / sigma[near, None], rest[near] / sigma[near])[0] if near.sum() > 1 else found
+    pattern = np.where(np.abs(rest - terms @ found) <= 3 * sigma, terms @ found, np.maximum(rest, 0)).reshape(level.shape)
+    # frames without noise of their own round alike: the rounding is then a fixed error
+    return np.asarray(np.maximum(pattern, np.maximum(LEAST_VARIANCE - temporal, 0)))
 
 
 def temporal_variance(pixel_variance: Float, frames: int) -> Float:
