@@ -175,7 +175,16 @@ def _scene(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, context
     for effect in effects:
         if effect.stage == "scene":
             scene = effect.apply_scene(scene, context)
-    return scene
+    return scene if isinstance(scene.target, RenderedTarget) else _lit(scene)
+
+
+def _lit(scene: Scene) -> Scene:
+    """The scene at the wavelengths that hold light, and one dark band on either side, which keeps every integral as it is."""
+    light = scene.white != 0 if scene.ambient is None else (scene.white != 0) | (scene.ambient != 0)
+    first, last = (0, 0) if not light.any() else (int(np.flatnonzero(light)[0]), int(np.flatnonzero(light)[-1]))
+    bands = slice(max(first - 1, 0), last + 2)
+    ambient = None if scene.ambient is None else scene.ambient[bands]
+    return replace(scene, wavelength_nm=scene.wavelength_nm[bands], white=scene.white[bands], ambient=ambient)
 
 
 def _radiance(scene: Scene, context: Context, how: Rendering) -> Signal:

@@ -159,3 +159,17 @@ def test_light_on_a_chart_tilts_bows_and_twists(model):
     x = (np.arange(96) - 47.5) / 48
     y = x[:, None]
     np.testing.assert_allclose(ratio, 1 + 0.1 * x + 0.2 * x**2 - 0.1 * y**2 + 0.3 * x * y, rtol=1e-6)
+
+
+def test_bands_without_light_are_left_out_and_change_nothing(model):
+    """A narrow line alone gives what it adds to a broad light."""
+    grid = np.arange(380.0, 741.0, 5.0)
+    line = np.exp(-0.5 * ((grid - 550) / 8) ** 2) * (np.abs(grid - 550) < 25)
+    lights = [Light("l", Spectrum(grid, values)) for values in (0 * grid + 1e-4, 1e-4 + line, line)]
+    dim, both, alone = (mean_electrons(model, ShotSetup(flat(light="l"), light)) for light in lights)
+    np.testing.assert_allclose(both - dim, alone, rtol=1e-9)
+    patches = (Patch("p", (8, 88, 8, 88), Spectrum(grid, 0.2 + 0.001 * (grid - 380))),)
+    shot = Shot("c", "chart", exposure=Exposure(0.01), window=WINDOW, light="l", target=ChartTarget("c", patches))
+    dim, both, alone = (mean_electrons(model, ShotSetup(shot, light)) for light in lights)
+    # transfer functions are interpolated between wavelengths, which lie closer over a line than over the whole range
+    np.testing.assert_allclose(both - dim, alone, rtol=2e-4)
