@@ -30,6 +30,8 @@ aperture, crosstalk, cut-off and glare is at most 13 % higher (and up to 4 % low
 true model have a mean square of .37 to .57 over the ten rows therefore (a tenth of the trace of stated^-1 sampling), not
 1: their sigmas are not too wide, the rows hold fewer numbers than they are.
 """
+# Frames without noise have a sigma of 0 or nearly: these keep weights finite and lie far below anything that is seen
+LEAST_SIGMA_MTF, LEAST_SIGMA_DN, LEAST_SIGMA_PX = 1e-7, 1e-4, 1e-5
 Float = NDArray[np.float64]
 
 
@@ -81,29 +83,40 @@ def _channel(
     n = len(results)
     mtf = np.mean([r.mtf_at(FREQUENCY_CY_PX) for r in results], axis=0)
     covariance = np.mean([_covariance(r) for r in results], axis=0) / n
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-14))
+    sigma = np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA_MTF**2))
     rows = [
         metric(conditions, "mtf", value, s, "1", channel=channel, frequency_cy_px=round(float(f), 4))
         for f, value, s in zip(FREQUENCY_CY_PX, mtf, sigma, strict=True)
     ]
-    for name, unit in (("dark_dn", "DN"), ("bright_dn", "DN")):
-        value = float(np.mean([getattr(r, name) for r in results]))
-        spread = math.sqrt(np.mean([getattr(r, name.replace("_dn", "_sigma_dn")) ** 2 for r in results]) / n)
-        if math.isfinite(spread):  # published procedures state no sigma of their levels
-            level = f"edge_{name.removesuffix('_dn')}_level"
-            rows.append(metric(conditions, level, value, max(spread, 1e-4), unit, channel=channel))
+    k = len(rows)
+    levels, between = _levels(conditions, channel, results)
+    rows += levels
     if all(math.isfinite(r.mtf50_cy_px) for r in results):
         # derived from the same curve: for people, and its sigma holds what is common to all frames
         value, own = float(np.mean([r.mtf50_cy_px for r in results])), float(np.mean([r.mtf50_sigma for r in results]))
         rows.append(metric(conditions, "mtf50", value, own, "cy/px", channel=channel, family="summary_mtf50", summary=True))
     correlation = np.eye(len(rows))
-    k = len(sigma)
     correlation[:k, :k] = (1 - ROUGHNESS) * covariance / np.outer(sigma, sigma)
+    correlation[k : k + len(levels), k : k + len(levels)] = between
     np.fill_diagonal(correlation, 1.0)
     normal = math.radians(results[0].normal_deg)
     place = float(np.mean([r.edge_col_px * math.cos(normal) + r.edge_row_px * math.sin(normal) for r in results]))
     place_sigma = math.sqrt(np.mean([r.edge_sigma_px**2 for r in results]) / n)
     return rows, correlation, (place, place_sigma)
+
+
+def _levels(conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]) -> tuple[list[Metric], Float]:
+    """Dark and bright level with their correlation; none of the published procedures, which state no sigma of theirs."""
+    if results[0].method != "default":
+        return [], np.zeros((0, 0))
+    covariance = np.mean([r.level_covariance_dn(kind="sampling") for r in results], axis=0) / len(results)
+    sigma = np.maximum(np.sqrt(np.diag(covariance)), LEAST_SIGMA_DN)
+    values = np.mean([(r.dark_dn, r.bright_dn) for r in results], axis=0)
+    rows = [
+        metric(conditions, f"edge_{name}_level", value, s, "DN", channel=channel)
+        for name, value, s in zip(("dark", "bright"), values.tolist(), sigma.tolist(), strict=True)
+    ]
+    return rows, np.asarray(covariance / np.outer(sigma, sigma))
 
 
 def _covariance(result: SfrResult) -> Float:
@@ -122,7 +135,7 @@ def _lateral_color(conditions: dict[str, Any], places: Mapping[str, tuple[float,
         if channel in places and math.isfinite(places[channel][1] + places["G"][1]):
             shift = places[channel][0] - places["G"][0]
             sigma = math.hypot(places[channel][1], places["G"][1])
-            rows.append(metric(conditions, "lateral_color", shift, max(sigma, 1e-5), "px", channel=channel))
+            rows.append(metric(conditions, "lateral_color", shift, max(sigma, LEAST_SIGMA_PX), "px", channel=channel))
     return rows
 
 

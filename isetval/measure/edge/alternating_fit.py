@@ -8,7 +8,7 @@ One round: refine the lines on the samples near them (``line_refinement``), fit 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -21,7 +21,7 @@ from isetval.measure.edge.esf_fit import EsfFits, fit_esf
 from isetval.measure.edge.esf_prior import tabulated, width_index, width_of
 from isetval.measure.edge.first_look import FirstLooks, thinning
 from isetval.measure.edge.geometry import MAX_ORDER, EdgeLines, Index, PerRegion, RowPolynomials, Stack, clip, distances
-from isetval.measure.edge.illumination import SideNoise, fit_along, illumination_at
+from isetval.measure.edge.illumination import AlongFit, SideNoise, fit_along, illumination_at
 from isetval.measure.edge.line_refinement import mean_shapes, refine_lines, rounding_error
 from isetval.measure.edge.row_shifts import Shapes, core_of, core_view, grid, row_shifts, update_lines
 from isetval.measure.edge.spline_bins import Binned, bin_samples, noise_level
@@ -44,8 +44,9 @@ MAX_SHADING = 0.8  # keeps the illumination above 0 within the region (1 - .8 at
 class FittedEdges(PerRegion):
     """Everything that the fit of a stack found; lines count from the regions' origins, arrays (regions, ...).
 
-    ``places`` are the regions' places in the stack that was asked for; ``scatter_dn`` of the values about their
-    cells' means; ``near_px`` distances of the samples near the edge; ``information`` on the edges' place, 1/px^2.
+    ``places`` are the regions' places in the stack that was asked for; ``level_covariance`` as in ``AlongFit``;
+    ``scatter_dn`` of the values about their cells' means; ``near_px`` distances of the samples near the edge;
+    ``information`` on the edges' place, 1/px^2.
     """
 
     places: Index
@@ -55,6 +56,7 @@ class FittedEdges(PerRegion):
     half_px: float
     fits: EsfFits
     noise: SideNoise
+    level_covariance: Float
     scatter_dn: Float
     distance_px: Float
     near_px: Float
@@ -144,7 +146,7 @@ class _Task(PerRegion):
     def order(self) -> int | None:
         return self.chosen.get("order")
 
-    def along(self, lines: EdgeLines, illumination: Float, width_px: Float) -> tuple[Float, SideNoise]:
+    def along(self, lines: EdgeLines, illumination: Float, width_px: Float) -> AlongFit:
         some = self.stack.every(self.thin)
         p = self.p.every(self.stack.start(self.thin), self.thin)
         return fit_along(some, lines, p, illumination=illumination, half_px=self.half_px, width_px=width_px)
@@ -156,8 +158,12 @@ class _State(PerRegion):
 
     lines: EdgeLines
     illumination: Float
-    sides: SideNoise
+    along: AlongFit
     shapes: Shapes
+
+    @property
+    def sides(self) -> SideNoise:
+        return self.along.noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,10 +199,10 @@ def measure_edges(
         top = np.minimum(lines.order, chosen["order"])
         lines = lines.moved(np.where(np.arange(lines.coefficients.shape[1]) <= top[:, None], lines.coefficients, 0.0), top)
     task = _Task(stack, looks.p, thinning(stack), looks.bright, floor, chosen)
-    illumination, sides = task.along(lines, np.zeros((len(stack), 5)), width_px)
+    along = task.along(lines, np.zeros((len(stack), 5)), width_px)
     shapes = mean_shapes(looks.dark, looks.bright - looks.dark, tabulated(width_px))
     out: list[FittedEdges] = []
-    _alternate(task, _State(lines, illumination, sides, shapes), np.arange(len(stack)), out)
+    _alternate(task, _State(lines, along.illumination, along, shapes), np.arange(len(stack)), out)
     return out
 
 
@@ -216,7 +222,7 @@ def _alternate(task: _Task, state: _State, places: Index, out: list[FittedEdges]
             _polish(task.pick(done), state.pick(done), full.pick(done), places[done], out)
         illumination = state.illumination.copy()
         illumination[:, 3:] = clip(illumination[:, 3:] + full.fits.shading, -MAX_SHADING, MAX_SHADING)
-        state = _State(state.lines, illumination, state.sides, full.shapes).pick(left)
+        state = _State(state.lines, illumination, state.along, full.shapes).pick(left)
         task, places = task.pick(left), places[left]
 
 
@@ -232,7 +238,7 @@ def _refined(task: _Task, state: _State) -> _State:
         floor=task.floor,
         order=task.order,
     )
-    return _State(found.lines, state.illumination, state.sides, found.shapes.stretched(tabulated(found.width_px)))
+    return _State(found.lines, state.illumination, state.along, found.shapes.stretched(tabulated(found.width_px)))
 
 
 def _illuminated(task: _Task, state: _State, *, always: bool) -> _State:
@@ -240,9 +246,10 @@ def _illuminated(task: _Task, state: _State, *, always: bool) -> _State:
     redo = (np.abs(state.illumination[:, :3]).max(axis=1) > PLAIN_LIGHT) | always
     if not redo.any():
         return state
-    illumination, sides = task.along(state.lines, state.illumination, state.shapes.width_px)
-    noise = (np.where(redo, new, old) for new, old in ((sides.dark, state.sides.dark), (sides.bright, state.sides.bright)))
-    return _State(state.lines, np.where(redo[:, None], illumination, state.illumination), SideNoise(*noise), state.shapes)
+    along = task.along(state.lines, state.illumination, state.shapes.width_px)
+    if not redo.all():
+        along = along.where(redo, replace(state.along, illumination=state.illumination))
+    return _State(state.lines, along.illumination, along, state.shapes)
 
 
 def _illumination_rests(task: _Task, before: Float, after: Float, full: _FullFit) -> NDArray[np.bool_]:
@@ -332,7 +339,7 @@ def _polish(task: _Task, state: _State, full: _FullFit, places: Index, out: list
         done, left = np.flatnonzero(rest), np.flatnonzero(~rest)
         if len(done):
             out.append(fitted.pick(done))
-        state = _State(new, state.illumination, state.sides, full.shapes).pick(left)
+        state = _State(new, state.illumination, state.along, full.shapes).pick(left)
         task, places = task.pick(left), places[left]
         full = _full_fit(task, state)
 
@@ -350,6 +357,7 @@ def _fitted(
         half_px=task.half_px,
         fits=full.fits,
         noise=full.noise,
+        level_covariance=state.along.level_covariance,
         scatter_dn=np.sqrt(scatter / number),
         distance_px=full.distance_px,
         near_px=near_px,

@@ -76,9 +76,33 @@ def illumination_at(stack: Stack, lines: EdgeLines, illumination: Float, half_px
     return along_rows(stack, c0 + s * (c1 + c2 * s), c1 + 2 * c2 * s, c2)
 
 
+@dataclass(frozen=True, eq=False)
+class AlongFit(PerRegion):
+    """Illumination coefficients (regions, 5), noise of both sides, and what the coefficients' noise does to the levels.
+
+    ``level_covariance`` (regions, 2, 2): relative covariance of the dark and the bright level, as the illumination is
+    divided out.
+    """
+
+    illumination: Float
+    noise: SideNoise
+    level_covariance: Float
+
+    def where(self, new: NDArray[np.bool_], before: AlongFit) -> AlongFit:
+        """Take the regions of ``new`` (regions,) from here, the others from ``before``."""
+        noise = SideNoise(
+            np.where(new, self.noise.dark, before.noise.dark), np.where(new, self.noise.bright, before.noise.bright)
+        )
+        return AlongFit(
+            np.where(new[:, None], self.illumination, before.illumination),
+            noise,
+            np.where(new[:, None, None], self.level_covariance, before.level_covariance),
+        )
+
+
 def fit_along(
     stack: Stack, lines: EdgeLines, p: RowPolynomials, *, illumination: Float, half_px: float, width_px: Float
-) -> tuple[Float, SideNoise]:
+) -> AlongFit:
     """Illumination along the edge (g0, g1, g2), from how the values change along it at equal distance.
 
     Regressing the deviations from the mean at each distance leaves the ESF out altogether; one Gauss-Newton
@@ -128,4 +152,15 @@ def fit_along(
     )
     out = illumination.copy()
     out[enough, :3] = clip(illumination[:, :3] + step[:, :, 0], -LIMITS, LIMITS)[enough]
-    return out, noise
+    raw = np.stack([place_along, place_along**2, place_along * place_across], axis=1)
+    covariance = _level_covariance(raw, design, np.linalg.inv(matrix), bright, weight - bright, noise)
+    return AlongFit(out, noise, np.where(enough[:, None, None], covariance, 0.0))
+
+
+def _level_covariance(raw: Float, design: Float, inverse: Float, bright: Float, dark: Float, noise: SideNoise) -> Float:
+    """A C A': C is the coefficients' covariance from the noise of both sides, A (2, 3) the means of the terms on each side."""
+    sides = np.stack([dark, bright], axis=1)
+    means = sides @ raw.swapaxes(1, 2) / np.maximum(sides.sum(axis=2), 1.0)[:, :, None]
+    variance = noise.dark[:, None] * dark + noise.bright[:, None] * bright
+    half = inverse @ ((design * variance[:, None]) @ design.swapaxes(1, 2)) @ inverse
+    return np.asarray(means @ half @ means.swapaxes(1, 2))

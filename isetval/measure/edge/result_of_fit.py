@@ -13,10 +13,10 @@ from isetval.core.capture import Capture, Roi
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.alternating_fit import FittedEdges
 from isetval.measure.edge.clipped_tails import clipped_share, lost_information
-from isetval.measure.edge.esf_fit import EsfFit, solve_lower
+from isetval.measure.edge.esf_fit import EsfFit
 from isetval.measure.edge.geometry import EdgeLines, origin_of
 from isetval.measure.edge.samples import Oecf
-from isetval.measure.edge.sfr_result import SfrResult
+from isetval.measure.edge.sfr_result import SfrResult, level_covariance
 from isetval.measure.edge.spectrum import FREQUENCY_STEP
 from isetval.measure.edge.verdict import SHALLOW_DEG, Seen, Verdict, judge
 
@@ -98,6 +98,7 @@ def _result(
         choices=fitted.choices(i),
         inflation=inflation,
         fit=fit,
+        illumination_covariance=fitted.level_covariance[i],
         reach_px=(float(fitted.reach_px[0][i]), float(fitted.reach_px[1][i])),
         messages=verdict.flags | warnings,
     )
@@ -142,7 +143,7 @@ def _bow(line: EdgeLines) -> tuple[float, float]:
 
 def _levels(fitted: FittedEdges, i: int, fit: EsfFit) -> dict[str, Any]:
     """Levels and noise of both sides."""
-    dark_sigma, bright_sigma = level_sigma(fit)
+    dark_sigma, bright_sigma = np.sqrt(np.diag(level_covariance(fit, fitted.level_covariance[i], kind="posterior"))).tolist()
     return {
         "dark_dn": fit.dark,
         "bright_dn": fit.dark + fit.step,
@@ -151,15 +152,6 @@ def _levels(fitted: FittedEdges, i: int, fit: EsfFit) -> dict[str, Any]:
         "noise_dark_dn": float(np.sqrt(fitted.noise.dark[i])),
         "noise_bright_dn": float(np.sqrt(fitted.noise.bright[i])),
     }
-
-
-def level_sigma(fit: EsfFit) -> tuple[float, float]:
-    """Standard deviations of the dark and the bright level, DN."""
-    pick = np.zeros((2, len(fit.coefficients)))
-    pick[0, 0] = pick[1, 0] = pick[1, 1] = 1.0
-    half = solve_lower(fit.lower, (pick * fit.mode_root).T)
-    dark, bright = np.sqrt((half * half).sum(axis=0))
-    return float(dark), float(bright)
 
 
 def normal_direction(slope: float, sign: float, *, transposed: bool) -> float:

@@ -15,7 +15,7 @@ from isetval.core.capture import Roi
 from isetval.core.errors import MeasurementError
 from isetval.core.threads import one_blas_thread
 from isetval.measure.edge import spectrum
-from isetval.measure.edge.esf_fit import EsfFit
+from isetval.measure.edge.esf_fit import EsfFit, solve_lower
 
 Float = NDArray[np.floating[Any]]
 
@@ -96,6 +96,7 @@ class SfrResult:
     choices: Mapping[str, Any]
     inflation: float = 1.0
     fit: EsfFit | None = field(default=None, repr=False)
+    illumination_covariance: Float | None = field(default=None, repr=False)
     reach_px: tuple[float, float] = (0.0, 0.0)
     measured_curves: tuple[Float, Float, Float] | None = field(default=None, repr=False)
     sigma_curve: Float | None = field(default=None, repr=False)
@@ -195,13 +196,29 @@ class SfrResult:
         gradient[f == 0] = 0.0
         return np.asarray(gradient @ spectrum.shape_covariance(self.fit, kind=kind) @ gradient.T * self.inflation**2)
 
+    @one_blas_thread()
+    def level_covariance_dn(self, *, kind: str = "posterior") -> Float:
+        """Covariance of the dark and the bright level, DN^2, (2, 2); ``kind`` as in ``mtf_covariance``.
+
+        Raises
+        ------
+        MeasurementError
+            When the edge was refused or the method gives no covariance.
+        """
+        if self.fit is None or self.flags or self.illumination_covariance is None:
+            raise MeasurementError(
+                f"roi {self.roi}: method {self.method!r} with flags {self.flags} has no covariance; "
+                "use the default method on an accepted edge"
+            )
+        return level_covariance(self.fit, self.illumination_covariance, kind=kind)
+
     def acutance(self, *, pixels_per_degree: float) -> float:
         """Acutance for a viewer who sees ``pixels_per_degree`` pixels in one degree."""
         return spectrum.acutance(self.frequency_cy_px, self.mtf, pixels_per_degree=pixels_per_degree)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fit, as plain JSON values."""
-        skip = {"fit", "sigma_curve", "measured_curves"}
+        skip = {"fit", "sigma_curve", "measured_curves", "illumination_covariance"}
         out: dict[str, Any] = {"axis": AXIS}
         for name in self.__dataclass_fields__:
             if name not in skip:
@@ -222,6 +239,24 @@ class SfrResult:
         head = f"# {AXIS}; method {self.method}; flags {' '.join(self.flags) or 'none'}\n"
         head += "frequency_cy_px,frequency_cy_mm,mtf,mtf_sigma\n"
         return head + "".join(f"{a:.6g},{b:.6g},{c:.8g},{d:.4g}\n" for a, b, c, d in rows)
+
+
+def level_covariance(fit: EsfFit, illumination: Float, *, kind: str) -> Float:
+    """Covariance of the dark and the bright level, DN^2, (2, 2).
+
+    The levels are the coefficients of the constant and, added to it, of the mean shape.  The illumination along the edge
+    that was divided out has noise of its own, ``illumination`` (2, 2, relative): an error of its square along the edge
+    moves both levels, and by more than the pixels' noise.
+    """
+    pick = np.zeros((2, len(fit.coefficients)))
+    pick[0, 0] = pick[1, 0] = pick[1, 1] = 1.0
+    if kind == "posterior":
+        half = solve_lower(fit.lower, (pick * fit.mode_root).T)
+        pixels = half.T @ half
+    else:
+        pixels = pick @ fit.sampling_covariance @ pick.T
+    levels = np.array([fit.dark, fit.dark + fit.step])
+    return np.asarray(pixels + illumination * np.outer(levels, levels))
 
 
 def _plain(value: Any) -> Any:

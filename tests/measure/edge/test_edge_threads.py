@@ -6,7 +6,7 @@ from edge_cases import AIRY, clean
 from edge_charts import chart
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from isetval.measure.edge import esf_fit, find_edges, sfr, sfr_batch
+from isetval.measure.edge import find_edges, sfr, sfr_batch, spectrum
 from isetval.scenes.edge_truth import EdgeTruth
 
 
@@ -18,7 +18,7 @@ def blas_threads() -> set[int]:
 def seen(monkeypatch):
     """BLAS threads at every linear solve; the solvers stay the real ones."""
     inside: list[set[int]] = []
-    for module, name in ((np.linalg, "solve"), (np.linalg, "cholesky"), (esf_fit, "solve_lower")):
+    for module, name in ((np.linalg, "solve"), (np.linalg, "cholesky"), (spectrum, "solve_lower")):
         real = getattr(module, name)
 
         def watched(*args, _real=real, **options):
