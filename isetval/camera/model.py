@@ -133,6 +133,7 @@ def _rank(effect: Effect) -> tuple[int, float]:
 
 def check_chain(name: str, effects: tuple[Effect, ...]) -> None:
     """Refuse a chain in which stages run backwards or units do not follow."""
+    _check_company(name, effects)
     unit, stage = "radiance", 0
     seen_cfa = False
     previous = "the scene"
@@ -158,3 +159,20 @@ def check_chain(name: str, effects: tuple[Effect, ...]) -> None:
         stage, previous = rank, effect.name
     if unit != "dn":
         raise InputError(f"model {name}: its last effect gives {unit}; a camera ends in dn (conversion_gain, quantization)")
+
+
+def _check_company(name: str, effects: tuple[Effect, ...]) -> None:
+    """Refuse an effect beside another that already contains it, and one without the lens that it needs in front."""
+    names = {effect.name for effect in effects}
+    for i, effect in enumerate(effects):
+        if effect.needs_chief_ray and not any(e.states_chief_ray() for e in effects[:i]):
+            raise InputError(
+                f"model {name}: {effect.name} needs the angle of the chief rays, which no effect in front of it states; put in "
+                "ray_transfer with a lens file (a table: with rows chief_ray_angle_deg), or use microlens"
+            )
+        for other in effect.replaces:
+            if other in names:
+                raise InputError(
+                    f"model {name}: {effect.name} already contains what {other} describes, which would act twice; "
+                    f"take {other} out (or {effect.name})"
+                )

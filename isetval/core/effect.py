@@ -91,7 +91,9 @@ class Effect:
     what it leaves alone, of `UNTOUCHED`; ``rare`` says that its pattern is a few pixels or lines of a specimen,
     so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
     distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
-    colour channels end here.  With every parameter at its null it must be the identity.
+    colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
+    one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays.  With every
+    parameter at its null it must be the identity, unless it gives another unit than it acts on.
     """
 
     name: ClassVar[str] = ""
@@ -110,6 +112,8 @@ class Effect:
     makes_mosaic: ClassVar[bool] = False
     must_not_change: ClassVar[tuple[str, ...]] = ()
     uses_mean_irradiance: ClassVar[bool] = False
+    replaces: ClassVar[tuple[str, ...]] = ()
+    needs_chief_ray: ClassVar[bool] = False
 
     source: str = ""
     fitted_to: tuple[str, ...] = ()
@@ -152,6 +156,10 @@ class Effect:
     def changed(self: EffectType, **values: Any) -> EffectType:
         """The effect with other parameter values."""
         return replace(self, **values)
+
+    def states_chief_ray(self) -> bool:
+        """Whether signals behind this effect carry the angle of the lens's chief rays."""
+        return False
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """The signal behind this effect."""

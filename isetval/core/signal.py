@@ -21,6 +21,9 @@ Float = NDArray[np.float64]
 UNITS = ("radiance", "irradiance", "electron", "dn")
 SPECTRAL_UNITS = ("radiance", "irradiance")
 
+FieldCurve = Callable[[Float, Float], Float]
+"""A quantity over the sensor at places (x_mm, y_mm) from its middle.  Arguments broadcast."""
+
 Transfer = Callable[[Float, Float, Float], Float]
 """Optical transfer function (fx_cy_px, fy_cy_px, wavelength_nm) ; complex where the blur is not even.  Arguments broadcast."""
 
@@ -68,6 +71,7 @@ class Signal:
     ``unit`` is radiance (W/(sr m2 nm)), irradiance (W/(m2 nm)), electron or dn; ``wavelength_nm`` is
     (bands,) for the spectral units and None behind the quantum efficiency, where the first axis
     holds colour channels (R, G, B; one for MONO) and, behind the colour filter array, one mosaic.
+    ``chief_ray_deg`` is the angle of the lens's chief ray to the axis, where a lens stated it: kept up to the mosaic.
     """
 
     layers: tuple[Layer, ...]
@@ -77,6 +81,7 @@ class Signal:
     transfers: tuple[Transfer, ...] = ()
     pupil: Pupil | None = None
     filters: Filters = Filters()
+    chief_ray_deg: FieldCurve | None = None
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -134,8 +139,10 @@ class Signal:
         """
         unit = unit or self.unit
         if unit in SPECTRAL_UNITS:
-            return Signal((Layer(values),), unit, self.shape, self.wavelength_nm, filters=self.filters)
-        return Signal((Layer(values),), unit, self.shape)
+            return Signal(
+                (Layer(values),), unit, self.shape, self.wavelength_nm, filters=self.filters, chief_ray_deg=self.chief_ray_deg
+            )
+        return Signal((Layer(values),), unit, self.shape, chief_ray_deg=self.chief_ray_deg)
 
 
 def _product(transfers: tuple[Transfer, ...]) -> Transfer | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
 from isetval.core.signal import Signal
-from isetval.effects.pupil import CircularPupil, adjust_pupil, field_point
+from isetval.effects.pupil import CircularPupil, adjust_pupil, field_point, thin_lens_shift_um
 
 Float = NDArray[np.float64]
 
@@ -22,7 +22,8 @@ class Aperture(Effect):
     """The lens stop: radiance becomes irradiance, imaged by a circular pupil.
 
     The light factor is the *named* place for a lens file whose pupil is too small (a free scale is
-    never silent).  The shot's stated focus and its focus nuisance enter here, once.  Touches every level;
+    never silent).  The shot's stated focus and its focus nuisance enter here, once; with ``focal_mm``, so does the defocus
+    of a target at ``distance_m`` while the lens is focused on ``focus_m``, by the thin-lens equation.  Touches every level;
     must stand in front of all optics.
     """
 
@@ -39,12 +40,17 @@ class Aperture(Effect):
     f_number: float = parameter(1.73, unit="1", low=0.5, high=64.0, tau=0.05, doc="f-number N")
     transmittance: float = parameter(1.0, unit="1", low=0.0, high=1.0, doc="transmittance of the lens")
     light_factor: float = parameter(1.0, unit="1", low=0.0, high=100.0, doc="stated correction of a lens file's light")
+    focal_mm: float = parameter(
+        0.0, unit="mm", low=0.0, high=10000.0, shape=True, doc="focal length, for focus by distance (0: unknown)"
+    )
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Irradiance behind the stop; the pupil is shifted by the shot's focus."""
-        pupil = CircularPupil(self.f_number, context.sensor.pixel_um, focus_um=context.focus_um + context.get("focus_um"))
+        shift_um = thin_lens_shift_um(self.focal_mm, context.exposure.focus_m, context.object_distance_m)
+        focus_um = context.focus_um + context.get("focus_um") + shift_um
+        pupil = CircularPupil(self.f_number, context.sensor.pixel_um, focus_um=focus_um)
         scaled = signal.scaled(math.pi / (4 * self.f_number**2) * self.transmittance * self.light_factor)
-        return Signal(scaled.layers, "irradiance", signal.shape, signal.wavelength_nm, signal.transfers, pupil)
+        return replace(scaled, unit="irradiance", pupil=pupil)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
+from isetval.core.errors import InputError
 from isetval.core.signal import Signal
 from isetval.effects.pupil import REFERENCE_NM
 
 Float = NDArray[np.float64]
+FORMS = ("gaussian", "sin2")
+REFERENCE_DEG = 30.0  # angle at which the loss is stated: about the largest chief ray angle of phone lenses
 
 
 def _square(fx: Float, fy: Float, wavelength_nm: Float, *, width_px: float) -> Float:
@@ -105,3 +109,62 @@ class Microlens(Effect):
             return signal
         loss = (self.m_green,) if context.sensor.cfa == "MONO" else (self.m_red, self.m_green, self.m_blue)
         return signal.scaled(1 - np.array(loss)[:, None, None] * context.field_radius()[None] ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelAngularResponse(Effect):
+    """Loss of a pixel by the angle at which light arrives: the lens's chief ray angle, against shifted microlenses.
+
+    Even over the field, and other than cos^4 where the lens bends its chief rays back towards the corner, as phone lenses
+    do; may differ between channels.  Microlenses that are shifted towards the middle take off ``-shift_deg`` at the
+    corner, in proportion to the field radius; a positive shift is one in the wrong direction, or the growing loss of a pixel
+    that is deeper than its microlens allows.  Needs a lens that states its chief rays (ray_transfer) in front of it; for
+    models without one, microlens (1 - m r^2) has the shape to second order.  Acts on electrons behind
+    quantum_efficiency and before cfa; a monochrome sensor uses ``m_green``.
+
+    ``form``: "gaussian" (1 - m)^((a / 30 deg)^2), or "sin2" 1 - m sin^2 a / sin^2 30 deg, with the angle
+    a = chief ray + shift r.  On the paper's measured curve both leave .7 points of held-out error without a shift and
+    .4 with one; 1 - m r^2 leaves 1.9.
+    """
+
+    name = "pixel_angular_response"
+    stage = "pixel"
+    acts_on = "electron"
+    gives = "electron"
+    order = 46.0
+    equation = "mu_c x (1 - m_c)^((a/30 deg)^2), a = chief ray angle + shift r, r = 1 at the corner"
+    reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); forms are conventions"
+    must_not_change = ("dark",)
+    needs_chief_ray = True
+
+    m_red: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of red at 30 degrees")
+    m_green: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of green at 30 degrees")
+    m_blue: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of blue at 30 degrees")
+    shift_deg: float = parameter(0.0, unit="deg", low=-60.0, high=60.0, shape=True, doc="added to the angle at the corner, by r")
+    form: str = "gaussian"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.form not in FORMS:
+            raise InputError(f"effect pixel_angular_response: form is {self.form!r}; it needs one of {', '.join(FORMS)}")
+
+    def content(self) -> tuple[Any, ...]:
+        """The parameters and the form."""
+        return (*super().content(), self.form)
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale each colour channel; InputError where no lens stated its chief rays."""
+        if not (self.m_red or self.m_green or self.m_blue):
+            return signal
+        if signal.chief_ray_deg is None:
+            raise InputError(
+                "effect pixel_angular_response: no lens in front of it states the angle of its chief rays; put in ray_transfer, "
+                "or use microlens"
+            )
+        loss = (self.m_green,) if context.sensor.cfa == "MONO" else (self.m_red, self.m_green, self.m_blue)
+        angle = signal.chief_ray_deg(*context.xy_mm()) + self.shift_deg * context.field_radius()
+        if self.form == "gaussian":
+            power = (angle / REFERENCE_DEG) ** 2
+            return signal.scaled((1 - np.array(loss)[:, None, None]) ** power[None])
+        share = (np.sin(np.radians(angle)) / np.sin(np.radians(REFERENCE_DEG))) ** 2
+        return signal.scaled(np.maximum(1 - np.array(loss)[:, None, None] * share[None], 0.0))

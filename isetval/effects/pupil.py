@@ -116,11 +116,39 @@ class CircularPupil:
     def _focus(self, wavelength_nm: Float) -> Float | float:
         if not (self.red_um or self.blue_um):
             return self.focus_um
-        axial = np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (self.blue_um, 0.0, self.red_um))
-        return np.asarray(self.focus_um + axial)
+        return np.asarray(self.focus_um + axial_um(wavelength_nm, self.red_um, self.blue_um))
 
     def _aberrated(self) -> bool:
         return any(getattr(self, field.name) for field in fields(self) if field.name.endswith("_waves"))
+
+
+def axial_um(wavelength_nm: Float | float, red_um: float, blue_um: float) -> Float:
+    """Focus shift by wavelength: ``red_um`` at 610 nm and ``blue_um`` at 460 nm relative to 540 nm, linear between, held outside."""
+    return np.asarray(np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (blue_um, 0.0, red_um)))
+
+
+def thin_lens_shift_um(focal_mm: float, focus_m: float | None, object_m: float | None) -> float:
+    """Shift of the sensor from the image of an object when a thin lens is focused elsewhere; 0 where a distance is not stated.
+
+    Parameters
+    ----------
+    focal_mm : float
+        Focal length; 0 where it is unknown.
+    focus_m, object_m : float or None
+        Distance that is in focus, and that of the object, from the lens; infinity allowed.
+
+    Notes
+    -----
+    1/image = 1/f - 1/object for both; positive where the sensor is further from the lens than the object's image.
+    """
+    if not focal_mm or focus_m is None or object_m is None:
+        return 0.0
+    if min(focus_m, object_m) * 1e3 <= focal_mm:
+        raise InputError(
+            f"focus_m {focus_m:g} and distance_m {object_m:g}: a lens of {focal_mm:g} mm images only what is further away than that"
+        )
+    images_mm = [1 / (1 / focal_mm - 1e-3 / distance) for distance in (focus_m, object_m)]
+    return 1e3 * (images_mm[0] - images_mm[1])
 
 
 def adjust_pupil(signal: Signal, effect: str, **added: float) -> Signal:
@@ -133,7 +161,7 @@ def adjust_pupil(signal: Signal, effect: str, **added: float) -> Signal:
     """
     adjusted = getattr(signal.pupil, "adjusted", None)
     if adjusted is None:
-        raise InputError(f"effect {effect}: no lens pupil in front of it; put aperture before {effect}")
+        raise InputError(f"effect {effect}: no lens pupil in front of it; put aperture or ray_transfer before {effect}")
     return signal.through(adjusted(**added))
 
 

@@ -135,7 +135,7 @@ def _unit(slope: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _irradiance_curve(
+def irradiance_curve(
     lens: TracedLens, film_mm: float | None, wavelength_nm: float | None, reach_mm: float
 ) -> tuple[FloatArray, FloatArray]:
     """Heights on the table's own grid (to ``reach_mm``) and E/L there."""
@@ -174,7 +174,7 @@ def irradiance_factor(
     r = np.abs(np.asarray(r_mm, dtype=np.float64))
     reach = float(np.ceil(r.max(initial=0.0) * 10) / 10)
     last = lens.table(wavelength_nm).region.last_position_mm
-    heights, factor = _irradiance_curve(lens, film_mm, wavelength_nm, reach if not reach <= last else _finite(last, reach))
+    heights, factor = irradiance_curve(lens, film_mm, wavelength_nm, reach if not reach <= last else _finite(last, reach))
     return smooth_curve(heights, factor, r)
 
 

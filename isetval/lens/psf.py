@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from isetval.lens.diffraction import shape_otf
 from isetval.lens.focus import film_for_object
 from isetval.lens.polynomials import FloatArray
-from isetval.lens.spots import Spot, spot
+from isetval.lens.spots import AZIMUTHS, RINGS, Spot, rays_for, spot
 from isetval.lens.tracing import TracedLens
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -58,7 +59,11 @@ def otf(
     if film_mm is None:
         film_mm = film_for_object(lens, object_m, wavelength_nm=wavelength_nm)
     fx, fy = np.broadcast_arrays(np.asarray(frequency_cy_mm_x, np.float64), np.asarray(frequency_cy_mm_y, np.float64))
-    s = spot(lens, r_mm=r_mm, film_mm=film_mm, object_m=object_m, wavelength_nm=wavelength_nm)
+    place: dict[str, Any] = {"r_mm": r_mm, "film_mm": film_mm, "object_m": object_m, "wavelength_nm": wavelength_nm}
+    s = spot(lens, **place)
+    rings, azimuths = rays_for(s.offset_mm, float(np.hypot(fx, fy).max(initial=0.0)))
+    if rings > RINGS or azimuths > AZIMUTHS:  # a blur so large that its phases need more rays
+        s = spot(lens, **place, rings=max(rings, RINGS), azimuths=max(azimuths, AZIMUTHS))
     turn = math.radians(90.0 - azimuth_deg)
     gx = fx * math.cos(turn) - fy * math.sin(turn)
     gy = fx * math.sin(turn) + fy * math.cos(turn)

@@ -12,7 +12,8 @@ from isetval.lens.illumination import pupil_rays
 from isetval.lens.polynomials import FloatArray
 from isetval.lens.tracing import TracedLens, TracedRays
 
-STEP_MM = 2e-3
+STEP_MM = 2e-3  # half of the secants that map film to object: about the size of a blur
+RINGS, AZIMUTHS = 8, 64  # rays of a spot unless more are asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +62,8 @@ def spot(
     film_mm: float | None = None,
     object_m: float = math.inf,
     wavelength_nm: float | None = None,
-    rings: int = 8,
-    azimuths: int = 64,
+    rings: int = RINGS,
+    azimuths: int = AZIMUTHS,
 ) -> Spot:
     """Trace the beam of one film point back to the object and turn the misses into film offsets.
 
@@ -104,3 +105,15 @@ def spot(
     miss = np.linalg.solve(np.moveaxis(jacobian, 2, 0), (center[:, None] - found[:, 0]).T[:, :, None])[:, :, 0].T
     miss = miss - (miss * weight).sum(axis=1)[:, None]
     return Spot(float(r_mm), miss, weight, beam.rim_direction, center, (jacobian * weight).sum(axis=2))
+
+
+def rays_for(offset_mm: FloatArray, frequency_cy_mm: float) -> tuple[int, int]:
+    """Rings and azimuths that a sum of exp(-2 pi i f.p) over a spot's rays (2, n) needs up to a frequency.
+
+    Notes
+    -----
+    Over a disk the phase runs to P = 2 pi f R: Gauss-Legendre needs P/2 nodes and a few along the radius to converge,
+    equal angles P and a few around (as Bessel functions of higher order than their argument vanish).
+    """
+    phase = 2 * math.pi * frequency_cy_mm * float(np.hypot(*offset_mm).max())
+    return max(6, math.ceil(phase / 2) + 5), 8 * math.ceil((1.1 * phase + 20) / 8)

@@ -70,7 +70,9 @@ class Candidate:
 
 
 def candidates_for(model: CameraModel) -> tuple[Candidate, ...]:
-    """All candidates of a model, in the order of the catalogue."""
+    """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains."""
+    contained = {name for effect in model.effects for name in effect.replaces}
+    chief_ray = any(effect.states_chief_ray() for effect in model.effects)
     out = []
     for name, cls in sorted(catalogue().items()):
         if not cls.candidate:
@@ -82,7 +84,7 @@ def candidates_for(model: CameraModel) -> tuple[Candidate, ...]:
         if standing is not None:
             out.append(Candidate(name, standing, parameters, True))
             continue
-        if any(f for f in cls.files()):
+        if any(f for f in cls.files()) or name in contained or (cls.needs_chief_ray and not chief_ray):
             continue
         effect = cls()
         nulls: dict[str, Any] = {p.name: p.null for p in parameters}

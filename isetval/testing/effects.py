@@ -149,7 +149,13 @@ def _input(effect: Effect, context: Context, dtype: Any = np.float64) -> Signal:
     else:
         channels = np.array([1, 2, 1.5]) if effect.stage == "pixel" else np.ones(1)
         values = channels[:, None, None] * (2000 + 1500 * wave)
-    return Signal.of(values.astype(dtype), effect.acts_on)
+    signal = Signal.of(values.astype(dtype), effect.acts_on)
+    return dataclasses.replace(signal, chief_ray_deg=_chief_ray_deg)
+
+
+def _chief_ray_deg(x_mm: Array, y_mm: Array) -> Array:
+    """Chief rays of a lens whose exit pupil lies 0.5 mm before a sensor of a millimetre."""
+    return np.degrees(np.arctan(np.hypot(x_mm, y_mm) / 0.5))
 
 
 def _seen(signal: Signal, effect: Effect, context: Context) -> Array:
@@ -172,8 +178,8 @@ def _out(effect: Effect, *, dtype: Any = np.float64, **changes: Any) -> Array:
 
 
 def _check_null(effect: Effect) -> None:
-    if not effect.candidate:
-        return
+    if not effect.candidate or effect.acts_on != effect.gives:
+        return  # what turns one unit into another cannot be the identity
     context = _context(effect)
     before = _seen(_input(effect, context), effect, context)
     after = _out(_null(effect))

@@ -22,6 +22,7 @@ STRENGTHS = {
     "cos4": {"delta": 0.5},
     "full_well": {"well_e": 1500.0},
     "quantum_efficiency": {"file": "qe.csv", "base": str(DATA)},
+    "ray_transfer": {"file": "isetval:lens/default_lens.json"},
     "raw_filtering": {"weight": 0.1},
     "reset_noise": {"sigma_e": 2.0},
     "black_clip": {"strength": 0.5},
