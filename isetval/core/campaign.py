@@ -118,9 +118,9 @@ class Shot:
 
     ``window`` is (row0, col0, rows, cols) on the sensor, a `Window` or four numbers.  ``light_level`` scales the light's radiance
     as stated by the laboratory.  ``focus_um`` is the stated shift of the sensor from best focus,
-    ``distance_m`` that of the target.  ``repeat_of`` names the shot that this one repeats with a
-    newly made set-up.  ``method`` and ``channel`` ask an estimator for another method than its own, or for one channel
-    only: a simulation of the shot is then measured by the same.
+    ``distance_m`` the distance of the target; with the exposure's ``focus_m`` defocus follows from both.  ``repeat_of``
+    names the shot that this one repeats with a newly made set-up.  ``method`` and ``channel`` ask an estimator for
+    another method than its own, or for one channel only: a simulation of the shot is then measured by the same.
     """
 
     name: str

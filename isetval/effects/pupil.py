@@ -123,7 +123,7 @@ class CircularPupil:
 
 
 def axial_um(wavelength_nm: Float | float, red_um: float, blue_um: float) -> Float:
-    """Focus shift by wavelength: ``red_um`` at 610 nm and ``blue_um`` at 460 nm relative to 540 nm, linear between, held outside."""
+    """Focus shift by wavelength: ``red_um`` at 610 and ``blue_um`` at 460 nm relative to 540 nm, linear between, held outside."""
     return np.asarray(np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (blue_um, 0.0, red_um)))
 
 
@@ -145,7 +145,7 @@ def thin_lens_shift_um(focal_mm: float, focus_m: float | None, object_m: float |
         return 0.0
     if min(focus_m, object_m) * 1e3 <= focal_mm:
         raise InputError(
-            f"focus_m {focus_m:g} and distance_m {object_m:g}: a lens of {focal_mm:g} mm images only what is further away than that"
+            f"focus_m {focus_m:g} and distance_m {object_m:g}: a lens of {focal_mm:g} mm images only what is further away"
         )
     images_mm = [1 / (1 / focal_mm - 1e-3 / distance) for distance in (focus_m, object_m)]
     return 1e3 * (images_mm[0] - images_mm[1])

@@ -150,7 +150,7 @@ class RayTransfer(Effect):
     acts_on = "radiance"
     gives = "irradiance"
     order = 0.0
-    equation = "E = L light_factor integral cos^4(theta)/z^2 dA over the pupil; OTF = sum w exp(-2 pi i f p) over its rays x diffraction"
+    equation = "E = L light_factor integral cos^4(theta)/z^2 dA; OTF = diffraction x sum w exp(-2 pi i f p)"
     reference = "Goossens, Lyu, Ko, Wan, Farrell & Wandell, Ray-transfer functions, Opt. Express 30 (2022) 24031"
     must_not_change = ("dark",)
     replaces = ("aperture", "diffraction", "defocus", "spherical", "coma", "astigmatism", "cos4")
@@ -161,22 +161,30 @@ class RayTransfer(Effect):
         0.0, unit="m", low=0.0, high=1e6, shape=True, doc="distance in focus of shots that state none (0: the target's)"
     )
     light_factor: float = parameter(1.0, unit="1", low=0.01, high=100.0, tau=0.05, doc="stated correction of the file's light")
-    film_shift_um: float = parameter(0.0, unit="um", low=-200.0, high=200.0, tau=5.0, doc="film away from the lens by so much more")
-    decenter_x_um: float = parameter(0.0, unit="um", low=-300.0, high=300.0, tau=30.0, doc="lens axis from the sensor's middle, x")
-    decenter_y_um: float = parameter(0.0, unit="um", low=-300.0, high=300.0, tau=30.0, doc="lens axis from the sensor's middle, y")
+    film_shift_um: float = parameter(
+        0.0, unit="um", low=-200.0, high=200.0, tau=5.0, doc="film away from the lens by so much more"
+    )
+    decenter_x_um: float = parameter(
+        0.0, unit="um", low=-300.0, high=300.0, tau=30.0, doc="lens axis from the sensor's middle, x"
+    )
+    decenter_y_um: float = parameter(
+        0.0, unit="um", low=-300.0, high=300.0, tau=30.0, doc="lens axis from the sensor's middle, y"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.film_mm and self.focus_distance_m:
             raise InputError(
-                f"effect ray_transfer: film_mm is {self.film_mm:g} and focus_distance_m {self.focus_distance_m:g}; one follows from "
-                "the other: state one"
+                f"effect ray_transfer: film_mm is {self.film_mm:g} and focus_distance_m {self.focus_distance_m:g}; "
+                "one follows from the other: state one"
             )
 
     def lens(self, context: Context) -> tuple[RayTransferLens | MeasuredLens, float]:
         """The lens and the field height that its tables reach; InputError if no file is named."""
         if not self.file:
-            raise InputError('effect ray_transfer: file is empty; name a lens, for example file = "isetval:lens/default_lens.json"')
+            raise InputError(
+                'effect ray_transfer: file is empty; name a lens, for example file = "isetval:lens/default_lens.json"'
+            )
         reach = context.sensor.half_diagonal_mm + DECENTER_MM
         reach = math.ceil(reach / REACH_STEP_MM) * REACH_STEP_MM
         return open_lens(resolve_path(self.file, Path(self.base)), reach_mm=reach), round(reach, 6)
@@ -202,7 +210,9 @@ class RayTransfer(Effect):
     def _measured(self, signal: Signal, context: Context, lens: MeasuredLens) -> Signal:
         """The same from measured curves."""
         if self.film_mm:
-            raise InputError(f"effect ray_transfer: film_mm is stated, but {lens.name} is a table, which knows none; take film_mm out")
+            raise InputError(
+                f"effect ray_transfer: film_mm is stated, but {lens.name} is a table, which knows none; take film_mm out"
+            )
         focus_m = context.exposure.focus_m or self.focus_distance_m or None
         shift = thin_lens_shift_um(lens.focal_mm or 0.0, focus_m, context.object_distance_m) + self._shift_um(context)
         pupil: Any = CircularPupil(lens.f_number, context.sensor.pixel_um, focus_um=shift)

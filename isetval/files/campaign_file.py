@@ -25,7 +25,7 @@ from isetval.files.target_file import read_target
 _KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "notes")
 _SHOT_KEYS = (
     "name", "role", "measurement_session", "setup", "light", "light_level", "exposure_s", "iso", "rotation_deg", "window",
-    "size", "frames", "files", "target", "focus_um", "distance_m", "repeat_of", "method", "channel", "notes",
+    "size", "frames", "files", "target", "focus_um", "focus_m", "distance_m", "repeat_of", "method", "channel", "notes",
 )  # fmt: skip
 _NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "notes")
 
@@ -214,7 +214,9 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
             role=text(entry, "role", where),
             setup=text(entry, "setup", where) or name,
             measurement_session=text(entry, "measurement_session", where, "A"),
-            exposure=Exposure(_optional(entry, "exposure_s", where), _optional(entry, "iso", where)),
+            exposure=Exposure(
+                _optional(entry, "exposure_s", where), _optional(entry, "iso", where), focus_m=_distance(entry, "focus_m", where)
+            ),
             frames=frames,
             light=text(entry, "light", where) or None,
             light_level=number(entry, "light_level", where, 1.0),
@@ -222,7 +224,7 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
             window=_window(entry, where),
             target=targets[target] if target else None,
             focus_um=number(entry, "focus_um", where, 0.0),
-            distance_m=_optional(entry, "distance_m", where),
+            distance_m=_distance(entry, "distance_m", where),
             repeat_of=text(entry, "repeat_of", where) or None,
             files=files,
             method=text(entry, "method", where),
@@ -261,6 +263,14 @@ def _found_repeats(shots: tuple[Shot, ...]) -> tuple[Shot, ...]:
         return shot.repeat_of
 
     return tuple(replace(shot, repeat_of=twin(shot)) for shot in shots)
+
+
+def _distance(entry: Mapping[str, Any], key: str, where: str) -> float | None:
+    """A distance in metres; ``inf`` is far away."""
+    value = _optional(entry, key, where)
+    if value is not None and not value > 0:
+        raise InputError(f"{where}: {key} is {value:g}; it needs a distance in metres above 0, or inf")
+    return value
 
 
 def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:

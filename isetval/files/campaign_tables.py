@@ -101,6 +101,7 @@ def shot_table(shot: Shot, target: str, files: tuple[str, ...]) -> dict[str, Any
         "window": None if shot.window is None else list(shot.window),
         "target": target or None,
         "focus_um": shot.focus_um,
+        "focus_m": shot.exposure.focus_m,
         "distance_m": shot.distance_m,
         "repeat_of": shot.repeat_of,
         "method": shot.method or None,

@@ -48,7 +48,9 @@ def _opened(path: str, sha256: str, reach_mm: float) -> RayTransferLens | Measur
         return read_measured_lens(path)
     if suffix == ".toml":
         return _fitted(path, sha256, reach_mm)
-    raise InputError(f"lens file {path}: suffix {suffix or 'none'}; it needs .json (ray transfer), .toml (prescription) or .csv (table)")
+    raise InputError(
+        f"lens file {path}: suffix {suffix or 'none'}; it needs .json (ray transfer), .toml (prescription) or .csv (table)"
+    )
 
 
 def _fitted(path: str, sha256: str, reach_mm: float) -> RayTransferLens:

@@ -167,7 +167,8 @@ def _mtf(path: Path, rows: dict[str, list[tuple[float, float, float]]]) -> dict[
         for height, frequency, value in rows.get(quantity, []):
             if not (height >= 0 and frequency >= 0 and 0 <= value <= 1):
                 raise InputError(
-                    f"{path}: {quantity} at height {height}, frequency {frequency}: {value}; it needs a height, a frequency and 0 to 1"
+                    f"{path}: {quantity} at height {height}, frequency {frequency}: {value}; "
+                    "it needs a height, a frequency and 0 to 1"
                 )
             by_height.setdefault(height, {}).setdefault(quantity, []).append((frequency, value))
     for height, found in by_height.items():

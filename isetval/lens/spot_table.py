@@ -26,9 +26,11 @@ from isetval.lens.spots import Spot, rays_for, spot
 from isetval.lens.tracing import TracedLens
 
 ComplexArray = NDArray[np.complex128]
-FORMAT = 1
+FORMAT = 2
 HEIGHT_STEP_MM = 0.1  # spots change over the whole field; a cubic between such heights is good to .002 of the MTF
-FILM_STEP_MM = 0.05  # half of the table's range of focus; a parabola through three films holds beyond it, rays are straight
+# fitted ray-transfer files change within .03 mm of the axis, where the meridian that they are turned into is undefined
+AXIS_HEIGHTS_MM = (0.0, 0.004, 0.012, 0.025, 0.05)
+FILM_NODES_UM = (-60.0, -25.0, 0.0, 25.0, 60.0)  # from best focus; straight rays make straight lines, also beyond
 RINGS, AZIMUTHS = 8, 32  # rays traced: places are polynomials along a radius and Fourier series around, exact from here on
 DIRECTIONS, MAGNITUDES = 37, 129  # grid of the diffraction-limited transfer function of pictures; good to 1e-3
 FEW = 20_000  # frequencies up to which each is summed on its own
@@ -41,14 +43,14 @@ class SpotTable:
     Attributes
     ----------
     heights_mm : (heights,)
-    film_mm : (3,)
+    film_mm : (films,)
         Film distances around the best focus of the object.
     wavelength_nm : (waves,)
-    rays : (heights, waves, 3, 3, rays)
+    rays : (heights, waves, films, 3, rays)
         Landing place sagittal and tangential in mm from the spot's mean, and share of the light.
-    rim : (heights, waves, 3, 2, azimuths)
+    rim : (heights, waves, films, 2, azimuths)
         Outline of the pupil in direction cosines, sagittal and tangential.
-    shift_mm : (heights, waves, 3)
+    shift_mm : (heights, waves, films)
         Image height at each wavelength minus that at the one nearest 550 nm (lateral color).
     """
 
@@ -61,15 +63,16 @@ class SpotTable:
 
     @cached_property
     def _splines(self) -> tuple[Any, Any, Any]:
-        """Cubic splines over field height."""
-        from scipy.interpolate import CubicSpline
+        """Cubics over field height, each from its neighbours only."""
+        from scipy.interpolate import Akima1DInterpolator
 
-        return tuple(CubicSpline(self.heights_mm, part, axis=0) for part in (self.rays, self.rim, self.shift_mm))  # type: ignore[return-value]
+        rays, rim, shift = (Akima1DInterpolator(self.heights_mm, v, axis=0) for v in (self.rays, self.rim, self.shift_mm))
+        return rays, rim, shift
 
     def beam(self, r_mm: float, film_mm: float, wavelength_nm: float) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """Landing places (2, rays), shares (rays,), rim (2, azimuths) and lateral shift of a field point, on its own axes."""
         height = min(max(r_mm, 0.0), float(self.heights_mm[-1]))
-        share = lagrange(self.film_mm, film_mm)
+        share = _straight(self.film_mm, film_mm)
         mix = np.array([np.interp(wavelength_nm, self.wavelength_nm, unit) for unit in np.eye(self.wavelength_nm.size)])
         rays, rim, shift = (np.tensordot(np.outer(mix, share), spline(height), axes=2) for spline in self._splines)
         return rays[:2], rays[2] / rays[2].sum(), rim, float(shift)
@@ -131,6 +134,15 @@ def _ring_area(rings: int) -> FloatArray:
     return np.asarray((node + 1) / 2 * weight)
 
 
+def _straight(nodes: FloatArray, at: float) -> FloatArray:
+    """Weights of the straight line between the two nearest of ``nodes`` (n,), continued beyond the ends, (n,)."""
+    i = int(np.clip(np.searchsorted(nodes, at) - 1, 0, nodes.size - 2))
+    out = np.zeros(nodes.size)
+    out[i + 1] = (at - nodes[i]) / (nodes[i + 1] - nodes[i])
+    out[i] = 1 - out[i + 1]
+    return out
+
+
 def _summed(fx: FloatArray, fy: FloatArray, seen: NDArray[np.bool_], landing: FloatArray, share: FloatArray) -> ComplexArray:
     """Sum of exp(-2 pi i f.p) over the rays where ``seen``; a product of two small factors where the frequencies are a grid."""
     if np.ndim(fx) == 2 and np.ndim(fy) == 2 and np.shape(fx)[0] == 1 and np.shape(fy)[1] == 1:
@@ -154,9 +166,7 @@ def _diffraction(rim: FloatArray, fx: FloatArray, fy: FloatArray, wavelength_nm:
 
     magnitude = np.hypot(x, y)
     directions, steps = np.linspace(0.0, np.pi, DIRECTIONS), np.linspace(0.0, max(float(magnitude.max()), 1e-9), MAGNITUDES)
-    table = shape_otf(
-        rim, np.outer(np.cos(directions), steps), np.outer(np.sin(directions), steps), wavelength_nm=wavelength_nm
-    )
+    table = shape_otf(rim, np.outer(np.cos(directions), steps), np.outer(np.sin(directions), steps), wavelength_nm=wavelength_nm)
     return np.asarray(np.clip(RectBivariateSpline(directions, steps, table, kx=3, ky=1)(angle, magnitude, grid=False), 0, 1))
 
 
@@ -174,8 +184,9 @@ def spot_table(lens: TracedLens, object_m: float, reach_mm: float) -> SpotTable:
 def _traced(lens: TracedLens, object_m: float, reach_mm: float) -> dict[str, NDArray[Any]]:
     """The arrays of a `SpotTable`."""
     focus = film_for_object(lens, object_m)
-    films = focus + FILM_STEP_MM * np.array([-1.0, 0.0, 1.0])
-    heights = np.linspace(0.0, reach_mm, max(4, math.ceil(reach_mm / HEIGHT_STEP_MM)) + 1)
+    films = focus + 1e-3 * np.array(FILM_NODES_UM)
+    even = np.linspace(0.0, reach_mm, max(4, math.ceil(reach_mm / HEIGHT_STEP_MM)) + 1)
+    heights = np.union1d(even, [h for h in AXIS_HEIGHTS_MM if h < 0.9 * even[1]])
     reference = lens.table().wavelength_nm
     found: dict[str, list[Any]] = {"rays": [], "rim": [], "shift_mm": []}
     for r in heights:

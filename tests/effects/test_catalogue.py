@@ -37,7 +37,7 @@ GUIDE = (
     "pdaf_pixels lag amp_glow temperature_drift exposure_time flicker light_nonuniformity spd_mismatch "
     "black_reflectance chart_tilt interreflection gloss ambient_light position_scale etalon_ripple "
     "gain_map_applied wrong_black_tag black_clip digital_gain raw_filtering lens_correction "
-    "linearization_table aperture quantum_efficiency cfa shot_noise "
+    "linearization_table aperture quantum_efficiency cfa shot_noise ray_transfer pixel_angular_response "
 )
 
 

@@ -26,6 +26,7 @@ SHOTS = {
     "chart": Shot("chart", "chart", exposure=Exposure(time_s=0.02), window=MIDDLE, light="A", target=GREY),
     "edge": Shot("edge", "edge", exposure=Exposure(time_s=0.02), window=CORNER, light="A", target=EdgeTarget("e"), focus_um=4.0),
 }
+LENS = "isetval:lens/default_lens.json"
 CLAIMS = [(name, claim) for name, cls in catalogue().items() for claim in cls.must_not_change]
 assert {claim for _, claim in CLAIMS} <= set(UNTOUCHED)
 
@@ -41,8 +42,19 @@ def dn(model, shot, mode):
     return electronics(model, mean_electrons(model, setup), make_context(model, setup, seed=4, sensor_seed=2, mode=mode))
 
 
+def in_company(camera, cls):
+    """The camera without what an effect replaces, and with a lens where it needs one."""
+    if cls.needs_chief_ray:
+        lens = catalogue()["ray_transfer"](file=LENS)
+        camera = replace(camera, effects=(lens, *(e for e in camera.effects if e.name not in lens.replaces)))
+    if "aperture" in cls.replaces:
+        return replace(camera, effects=(cls(file=LENS), *(e for e in camera.effects if e.name not in cls.replaces)))
+    return camera
+
+
 def with_effect(camera, name):
     """The camera with parameters of one effect moved: by their plausible scales, by a tenth, or the effect taken out."""
+    camera = in_company(camera, catalogue()[name])
     standing = camera.effect(name)
     if standing is not None and not standing.candidate:
         moved = {p.name: min(1.1 * standing.values()[p.name], p.high) for p in standing.parameters()}
