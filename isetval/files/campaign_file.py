@@ -98,8 +98,13 @@ class _PlacedReader:
         shot, path = self.shots[name], self.folder / file
         capture = read_capture(path)
         _check_exposure(capture.exposure, shot, path)
-        window = (shot.window or (0, 0))[:2]
-        placed: Capture = place_on_sensor(capture, self.sensor, (window[0], window[1]))
+        window = shot.window or Window(0, 0, *capture.mosaic.shape)
+        whole = capture.mosaic.shape == (self.sensor.rows, self.sensor.cols)
+        placed: Capture = place_on_sensor(capture, self.sensor, (0, 0) if whole else window.origin)
+        if whole and window.shape != capture.mosaic.shape:  # a shot may look at a part of its files
+            row0, col0, rows, cols = window
+            part = placed.mosaic[row0 : row0 + rows, col0 : col0 + cols]
+            placed = replace(placed, mosaic=part, window=window.origin)
         time_s = placed.exposure.time_s if placed.exposure.time_s is not None else shot.exposure.time_s
         return replace(placed, exposure=replace(placed.exposure, time_s=time_s))
 
@@ -167,16 +172,17 @@ def _tables(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]
 
 def _light(name: str, entry: Any, path: Path) -> Light:
     where = f"{path}: [light.{name}]"
-    entry = check_keys(entry, where, known=("radiance", "column", "notes"), needed=("radiance",))
-    radiance = entry["radiance"]
+    entry = check_keys(entry, where, known=("radiance", "column", "scale", "notes"), needed=("radiance",))
+    radiance, scale = entry["radiance"], number(entry, "scale", where, 1.0)
     if isinstance(radiance, int | float) and not isinstance(radiance, bool):
-        return Light(name, Spectrum.flat(float(radiance)))
+        return Light(name, Spectrum.flat(float(radiance) * scale))
     file = text(entry, "radiance", where)
     spectra = read_spectra(named_file(file, path.parent))
     column = text(entry, "column", where) or next(iter(spectra))
     if column not in spectra:
         raise InputError(f"{where}: {file} has no column {column!r}; it has {', '.join(spectra)}")
-    return Light(name, spectra[column], file=str(named_file(file, path.parent)), column=column)
+    scaled = Spectrum(spectra[column].wavelength_nm, spectra[column].values * scale) if scale != 1 else spectra[column]
+    return Light(name, scaled, file=str(named_file(file, path.parent)), column=column)
 
 
 def _nuisance(entry: Any, where: str) -> Nuisance:

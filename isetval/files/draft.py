@@ -1,81 +1,88 @@
-"""A first ``campaign.toml`` for a folder of DNGs, from what the files say; a person completes it."""
+"""A first ``campaign.toml`` for a laboratory's folder: read, group, register, relate the lights, write.
+
+The steps stand in files of their own: `folder_reading`, `shot_grouping`, `registration`, `light_levels`, `draft_priors`,
+`campaign_drafting`, `draft_text`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.camera.model import CameraModel
+from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.paths import named_file
-from isetval.core.sensor import Exposure
+from isetval.core.paths import PACKAGE_PREFIX, data_folder
+from isetval.core.sensor import Sensor
+from isetval.core.spectrum import read_spectra
 from isetval.core.writing import write_whole
-from isetval.files.loose_files import RAW_SUFFIXES
+from isetval.files.campaign_drafting import Drafting, drafted
+from isetval.files.draft_priors import camera_words, light_priors, target_priors
+from isetval.files.draft_text import draft_text
+from isetval.files.draft_types import Draft, DraftPrior, Seen
+from isetval.files.file_facts import FileFacts
+from isetval.files.folder_reading import FolderFacts, read_folder
+from isetval.files.light_levels import dark_levels, lit_setups
+from isetval.files.registration import Content, recognized
+from isetval.files.shot_grouping import shot_groups
 
-ROLE_HINTS = ("dark", "flat", "edge", "chart", "scene")
-DARK_LEVEL = 0.004
-
-
-@dataclass(frozen=True)
-class FileFacts:
-    """What one file says: exposure, window, signal, guessed role."""
-
-    file: str
-    exposure: Exposure
-    window: tuple[int, int, int, int]
-    signal: float
-    role: str
-    why: str
+Progress = Callable[[str, int, int], None]
+THUMBNAIL_PX = 240  # wide enough to see a chart's patches
+BRIGHT_PERCENTILE = 99.5
+UNKNOWN_PITCH_UM = 1.0  # what a reader states where a file does not
 
 
-@dataclass(frozen=True)
-class Draft:
-    """A drafted campaign: its text, shots found, and files that could not be read."""
+def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str = "", progress: Progress | None = None) -> Draft:
+    """A campaign of the raw files of a folder, at all levels.
 
-    text: str
-    shots: int
-    skipped: tuple[tuple[str, str], ...]
+    Parameters
+    ----------
+    folder : path
+    role : str, optional
+        What all files show; default found out for each.
+    camera : str, optional
+        A camera model: a file in the folder, ``isetval:`` embedded data, or a file elsewhere, of which the sensor is copied.
+    progress : callable, optional
 
-
-def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str = "") -> Draft:
-    """A commented ``campaign.toml`` for the DNGs of a folder.
-
-    Files of one exposure, window and guessed role become one shot.
+    Returns
+    -------
+    Draft
+        `write_draft` writes its text.
 
     Raises
     ------
     InputError
-        If the folder is missing or holds no DNG that can be read, or ``camera`` lies outside it.
+        If the folder is missing or holds no raw file that can be read, or the camera is not that of the files.
     """
-    from isetval.files.dng import read_dng
-
     folder = Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; name the folder that holds the DNG files")
-    if camera:
-        named_file(camera, folder)
-    files = sorted(p for p in folder.rglob("*") if p.suffix.lower() in RAW_SUFFIXES and not p.name.startswith("."))
-    if not files:
-        raise InputError(f"{folder}: holds no DNG file; name the folder that holds them")
-    facts, skipped, first = [], [], None
-    for path in files:
-        try:
-            capture = read_dng(path)  # the black level that the campaign will be read with
-        except InputError as error:
-            skipped.append((path.relative_to(folder).as_posix(), str(error)))
-            continue
-        first = first or capture
-        facts.append(_facts(path.relative_to(folder).as_posix(), capture, role))
-    if first is None:
-        raise InputError(f"{folder}: none of its {len(files)} DNG files can be read; the first: {skipped[0][1]}")
-    groups: dict[Any, list[FileFacts]] = {}
-    for fact in facts:
-        groups.setdefault((fact.role, fact.window, fact.exposure.time_s, fact.exposure.iso), []).append(fact)
-    return Draft(_text(folder, first, list(groups.values()), camera), len(groups), tuple(skipped))
+    model, named = _camera(camera, folder)
+    found = read_folder(folder, progress=progress)
+    seen = _recognized(found, role, progress)
+    sensor = _sensor(found.facts, model, camera)
+    work = drafted(seen, sensor, model, read_spectra(data_folder() / "spectra" / "illuminants.csv"))
+    used = tuple(replace(one, shots=tuple(work.made.get(i, ()))) for i, one in enumerate(seen))
+    if not work.shots:
+        raise InputError(f"{folder}: no file shows a dark, a flat, a chart or an edge; the first: {seen[0].content.why}")
+    return Draft(
+        folder,
+        folder.resolve().name,
+        sensor,
+        named,
+        tuple(work.shots),
+        tuple(work.targets),
+        tuple(work.lights.values()),
+        _priors(work, used),
+        tuple(_unknown(work, used, found.facts, named or camera)),
+        tuple(camera_words([one.group for one in used if one.content.role == "dark"], found.captures)),
+        used,
+        (*found.refused, *(pair for pair in found.captures.skipped if pair not in found.refused)),
+        found.notes,
+        found.facts[0].camera,
+    )
 
 
 def write_draft(draft: Draft, folder: Path | str) -> Path:
@@ -89,135 +96,110 @@ def write_draft(draft: Draft, folder: Path | str) -> Path:
     path = Path(folder) / "campaign.toml"
     if path.exists():
         raise InputError(f"{path}: exists already; rename it first (nothing was written)")
-    write_whole(path, draft.text)
+    write_whole(path, draft_text(draft))
     return path
 
 
-def _facts(file: str, capture: Capture, role: str | None) -> FileFacts:
-    span = capture.sensor.white_dn - float(np.mean(capture.sensor.black_dn))
-    signal = max(float(np.mean(plane_view(capture, p)[0])) - plane_black_dn(capture, p) for p in planes_of(capture)) / span
-    guess, why = (role, "as told") if role else _guess(file, capture, signal)
-    window = (*capture.window, capture.mosaic.shape[0], capture.mosaic.shape[1])
-    return FileFacts(file, capture.exposure, window, signal, guess, why)
+def _camera(camera: str, folder: Path) -> tuple[CameraModel | None, str]:
+    """The model, and how the campaign names it: empty where it lies outside the folder, which a campaign may not name."""
+    from isetval.camera.model_file import load_model
+
+    if not camera:
+        return None, ""
+    if camera.startswith(PACKAGE_PREFIX):
+        return load_model(data_folder() / camera.removeprefix(PACKAGE_PREFIX)), camera
+    path = folder / camera if (folder / camera).exists() else Path(camera)
+    inside = path.resolve().is_relative_to(folder.resolve())
+    return load_model(path), path.resolve().relative_to(folder.resolve()).as_posix() if inside else ""
 
 
-def _guess(file: str, capture: Capture, signal: float) -> tuple[str, str]:
-    words = file.lower()
-    for role in ROLE_HINTS:
-        if role in words:
-            return role, f"the name says {role}"
-    if abs(signal) < DARK_LEVEL:
-        return "dark", f"its mean lies {100 * signal:.2f} % of the range above black"
-    view = plane_view(capture, planes_of(capture)[0])[0].astype(float)
-    rows, cols = (max(1, n // 16) for n in view.shape)
-    blocks = view[: rows * 16, : cols * 16].reshape(16, rows, 16, cols).mean(axis=(1, 3)) if min(view.shape) >= 16 else view
-    spread = float(blocks.std() / max(blocks.mean() - plane_black_dn(capture, planes_of(capture)[0]), 1e-9))
-    if spread < 0.35:
-        return "flat", f"its blocks spread by {100 * spread:.0f} %: check that it is an even field"
-    return "chart", f"its blocks spread by {100 * spread:.0f} %: edge, chart or scene; choose one and describe its target"
+def _sensor(facts: Sequence[FileFacts], model: CameraModel | None, camera: str) -> Sensor:
+    """The full sensor: that of the model, else the largest that a file states, with the usual black level."""
+    largest = max(facts, key=lambda f: f.sensor.rows * f.sensor.cols).sensor
+    if model is None:
+        (a, b), (c, d) = np.median([np.array(f.sensor.black_dn) for f in facts], axis=0).tolist()
+        return replace(largest, black_dn=((a, b), (c, d)))
+    mine = model.sensor
+    if mine.rows < largest.rows or mine.cols < largest.cols or mine.white_dn != largest.white_dn:
+        raise InputError(
+            f"{camera}: its sensor has {mine.rows} x {mine.cols} pixels and white at {mine.white_dn:g} DN, the files "
+            f"{largest.rows} x {largest.cols} and {largest.white_dn:g} DN; name the model of the camera that took them"
+        )
+    return mine
 
 
-def _text(folder: Path, first: Capture, groups: Sequence[list[FileFacts]], camera: str) -> str:
-    about = first.provenance
-    lines = [
-        "# Drafted by `isetval campaign init` from what the files say.  Lines marked CHECK need a person;",
-        "# everything left out here (targets, spectra, levels, priors) makes a diagnosis weaker or wrong.",
-        f"# Camera of the first file: {_comment(about.get('make')) or 'unknown maker'}, "
-        f"{_comment(about.get('model')) or 'unknown model'}.",
-        f"name = {_quoted(folder.resolve().name)}",
-        "",
-    ]
-    lines += _camera_lines(first, camera) + _light_lines() + _nuisance_lines() + _target_lines(groups)
-    for number, group in enumerate(groups, 1):
-        lines += _shot_lines(number, group)
-    return "\n".join(lines) + "\n"
+def _recognized(found: FolderFacts, role: str | None, progress: Progress | None) -> list[Seen]:
+    """What each group shows; one that cannot be looked at is a scene of which nothing is known."""
+    groups = shot_groups(found.facts)
+    seen = []
+    for i, group in enumerate(groups):
+        capture = found.captures.take("", group.first.file)
+        try:
+            content = (
+                Content("scene", "its file can no longer be read") if capture is None else recognized(group, capture, role=role)
+            )
+        except Exception as error:  # one odd picture must not lose the others
+            content = Content("scene", f"a defect of isetval ({type(error).__name__}: {error}); please report it")
+        seen.append(Seen(group, content, thumbnail=None if capture is None else thumbnail(capture)))
+        if progress is not None:
+            progress(f"looking at {group.first.file}", i + 1, len(groups))
+    return seen
 
 
-def _comment(text: Any) -> str:
-    """Text of a file's tags for a comment: on one line, whatever it holds."""
-    return "".join(c if c.isprintable() else " " for c in str(text or "")).strip()
+def thumbnail(capture: Capture) -> NDArray[np.uint8]:
+    """A small picture (rows, cols, 3) of a capture: binned, each colour scaled to its brightest part, gamma 1/2.2."""
+    from isetval.measure.color.chart_finding import encode, preview
+
+    bin_px = 2 * max(1, round(max(capture.mosaic.shape) / (2 * THUMBNAIL_PX)))
+    linear = preview(capture, min(bin_px, min(capture.mosaic.shape) // 2 * 2 or 1))
+    return np.ascontiguousarray(encode(linear, BRIGHT_PERCENTILE)[..., ::-1])
 
 
-def _quoted(text: str) -> str:
-    """A TOML string (JSON's escapes are TOML's, but for DEL)."""
-    import json
-
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
-
-
-def _camera_lines(first: Capture, camera: str) -> list[str]:
-    if camera:
-        return [f"camera = {_quoted(camera)}", ""]
-    s = first.sensor
-    return [
-        '# camera = "camera.toml"      # CHECK: the nominal model of this camera, needed for compare and diagnose',
-        "[sensor]                      # CHECK: the full sensor; crops state their window below",
-        f"rows = {s.rows}",
-        f"cols = {s.cols}",
-        f"pixel_um = {s.pixel_um:g}" + ("                # CHECK: the file does not say it" if s.pixel_um == 1.0 else ""),
-        f'cfa = "{s.cfa}"',
-        f"black_dn = {[list(row) for row in s.black_dn]}",
-        f"white_dn = {s.white_dn:g}",
-        f"bits = {s.bits}",
-        "",
-    ]
+def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:
+    flats = [one.group for one in seen if one.content.role == "flat"]
+    setups, _ = lit_setups(flats, dark_levels([one.group for one in seen if one.content.role == "dark"]))
+    by_name = {shot.name: shot for shot in work.shots}
+    again = {(s.setup, by_name[s.repeat_of].setup) for s in work.shots if s.repeat_of and s.role == "flat"}
+    priors = light_priors(flats, setups, sorted(again), list(work.lights.values()))
+    return (*priors, *target_priors({shot.role for shot in work.shots}))
 
 
-def _light_lines() -> list[str]:
-    return [
-        "[light.sphere]                # CHECK: spectral radiance of what the camera looked at, W/(sr m2 nm)",
-        "radiance = 0.01               # a number, or a CSV file with wavelength_nm in its first column",
-        "",
-    ]
-
-
-def _nuisance_lines() -> list[str]:
-    rows = (
-        ("light_level", 0.02, "relative", "set-up", "how well is the level of the light known?"),
-        ("light_level", 0.002, "relative", "frame", "how much does it flicker from frame to frame?"),
-        ("light_tilt_x", 0.01, "relative", "measurement session", "how even is the field, across?"),
-        ("light_tilt_y", 0.01, "relative", "measurement session", "and down?"),
-    )
-    out = ["# How well the laboratory knows its numbers.  CHECK each; one left out becomes a false discovery."]
-    for parameter, sigma, unit, scope, question in rows:
-        out += ["[[nuisance]]", f'parameter = "{parameter}"', f"sigma = {sigma}                 # CHECK: {question}"]
-        out += [f'unit = "{unit}"', f'scope = "{scope}"', *(['roles = ["flat"]'] if parameter != "light_level" else []), ""]
-    return out
-
-
-def _target_lines(groups: Sequence[list[FileFacts]]) -> list[str]:
-    roles = {group[0].role for group in groups}
+def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], camera: str) -> list[tuple[str, str, str]]:
+    """What no file says: what it is, what it needs, what happens without."""
     out = []
-    if "edge" in roles:
-        out += ["[target.edge]                 # CHECK: the slanted edge", 'kind = "edge"', "angle_deg = 5.0"]
-        out += ['orientation = "vertical"', "dark_reflectance = 0.05", "bright_reflectance = 0.8", ""]
+    if not camera:
+        needs = 'the nominal model of this camera, camera = "camera.toml" in this folder.'
+        out.append(("camera", needs, "the campaign can be measured, not compared or diagnosed."))
+    for light in work.lights.values():
+        told = f"published {light.column}" if light.column != "E" else "equal energy"
+        needs = f"a CSV of its spectral radiance in W/(sr m2 nm), in place of radiance, column and scale. Now: {told}."
+        without = "colour ratios carry its wide prior and tell little of filters and quantum efficiency."
+        out.append((f"[light.{light.name}]", needs, without))
+    roles = {shot.role for shot in work.shots}
     if "chart" in roles:
-        out += ["[target.chart]                # CHECK: boxes [row0, row1, col0, col1] in the window, and reflectances"]
-        out += ['kind = "chart"', 'patch = [{ name = "white", box = [0, 32, 0, 32], reflectance = 0.9 }]', ""]
-    if "scene" in roles:
-        out += ["[target.scene]                # CHECK: grey patches to measure in the picture, and the scene file"]
-        out += ['kind = "scene"', 'file = "scene.toml"', ""]
+        needs = 'the chart\'s own reflectances (reflectance = "chart.csv" with a column for each patch).'
+        without = "coloured patches are taken for greys of their luminance, so nothing can be said of colour."
+        out.append(("[target.chart_*]", needs, without))
+    if "edge" in roles:
+        needs = "reflectance of both sides."
+        out.append(("[target.edge_*]", needs, "levels were read off the files, so edges tell sharpness and not brightness."))
+    bare = sorted({one.group.words.number for one in seen if one.shots and one.group.words.number})
+    if bare:
+        needs = f"distance_m of the shots in folders called {', '.join(bare)}, if that is their distance and in which unit."
+        out.append(("distance_m", needs, "defocus by distance is left to focus_um."))
+    elif roles & {"edge", "chart"} and not any(one.group.words.distance_m for one in seen):
+        out.append(("distance_m", "the distance of edges and charts in m.", "defocus by distance is left to focus_um."))
+    crops = [f for f in facts if not f.placed and (f.window.rows, f.window.cols) != (work.sensor.rows, work.sensor.cols)]
+    if crops:
+        needs = f"the place of {len(crops)} crops on the sensor (window = [row0, col0, rows, cols]); their files do not state it."
+        out.append(("window", needs, "they are taken to lie in the middle: fall-off is compared at a wrong place."))
+    timeless = [f for f in facts if f.exposure.time_s is None]
+    if timeless:
+        needs = f"the exposure time of {len(timeless)} files, which state none ({timeless[0].file} ...)."
+        out.append(("exposure_s", needs, "they are measured, but no model can shoot them."))
+    if work.sensor.pixel_um == UNKNOWN_PITCH_UM and not camera:
+        out.append(("[sensor] pixel_um", "the pixel pitch in um.", "lengths in mm mean thousands of pixels."))
+    scenes = sum(not one.shots for one in seen)
+    if scenes:
+        out.append(("scenes", f"a scene file for the {scenes} groups listed at the end.", "they are not measured."))
     return out
-
-
-def _shot_lines(number: int, group: Sequence[FileFacts]) -> list[str]:
-    first = group[0]
-    mean = 100 * float(np.mean([f.signal for f in group]))
-    out = ["[[shot]]", f'name = "{first.role}_{number:02d}"', f'role = "{first.role}"                 # CHECK: {first.why}']
-    out += [
-        'measurement_session = "A"',
-        f'setup = "{first.role}_{number:02d}"        # shots that shared one set-up share its name',
-    ]
-    if first.role != "dark":
-        out += ['light = "sphere"', "light_level = 1.0             # CHECK: relative to the radiance above"]
-    if first.exposure.time_s is not None:
-        out.append(f"exposure_s = {first.exposure.time_s!r}")
-    else:
-        out.append("# exposure_s =                # CHECK: the file does not say it")
-    if first.exposure.iso is not None:
-        out.append(f"iso = {first.exposure.iso:g}")
-    if first.role in ("edge", "chart", "scene"):
-        out.append(f'target = "{first.role}"')
-    out.append(f"window = {list(first.window)}   # CHECK: place of a crop on the sensor; mean {mean:.1f} % of the range")
-    names = ", ".join(_quoted(f.file) for f in group)
-    return [*out, f"files = [{names}]", ""]

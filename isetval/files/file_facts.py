@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, black_image_dn, plane_black_dn, plane_view, planes_of
 from isetval.core.region import Window
 from isetval.core.sensor import Exposure, Sensor
 
+Float = NDArray[np.float64]
 LEVEL_STEP = 0.02  # lamps flicker by less, and steps of light that a person sets are larger
-LEVEL_SIGMAS = 6.0
+LOOK_STEP = 0.03  # of the mean: an edge that moves by a tenth of a block's width changes its block by more
+CHANCE_SIGMAS = 6.0
+LEAST_STEP_DN = 1.0  # two frames whose levels agree to a code are one level
+BLOCKS = 24  # a thumbnail of 24 x 24 means tells pictures apart
+WHITE_SHARE = 0.001  # of clipped pixels: more, and the mean of a frame is no level
 
 
 @dataclass(frozen=True, eq=False)
 class FileFacts:
-    """Geometry, exposure and levels of one file.
+    """Geometry, exposure, levels and look of one file.
 
     ``levels_dn`` are the means of the planes above black, ``level_sigma_dn`` the largest of their sigmas from
-    pixel noise, ``taken`` the date and time that the file states.
+    pixel noise; ``blocks_dn`` are block means above black, all colours together, with ``block_sigma_dn``;
+    ``clipped`` is the share of pixels at white; ``placed`` whether the file states its place on the sensor;
+    ``taken`` is the date and time that it states.
     """
 
     file: str
@@ -32,8 +40,13 @@ class FileFacts:
     exposure: Exposure
     levels_dn: tuple[float, ...]
     level_sigma_dn: float
+    blocks_dn: Float = field(default_factory=lambda: np.zeros((1, 1)), repr=False)
+    block_sigma_dn: float = 0.0
+    clipped: float = 0.0
+    placed: bool = False
     camera: str = ""
     taken: str = ""
+    rotation_deg: float = 0.0
 
     @property
     def level_dn(self) -> float:
@@ -41,19 +54,25 @@ class FileFacts:
         return float(np.mean(self.levels_dn))
 
     @property
+    def span_dn(self) -> float:
+        """Codes between black and white."""
+        return self.sensor.white_dn - float(np.mean(self.sensor.black_dn))
+
+    @property
     def scale(self) -> tuple[object, ...]:
         """What frames share that may be compared pixel by pixel and level by level: sensor and ISO."""
         return (self.sensor, self.exposure.iso)
 
 
-def facts_of(file: str, folder: str, capture: Capture) -> FileFacts:
+def facts_of(file: str, folder: str, capture: Capture, *, rotation_deg: float = 0.0) -> FileFacts:
     """The facts of a capture."""
-    levels, sigmas = [], []
+    levels, variances = [], []
     for plane in planes_of(capture):
         view = plane_view(capture, plane)[0].astype(np.float32)
-        noise2 = float(np.mean(np.diff(view, axis=1) ** 2)) / 2 if view.shape[1] > 1 else 0.0
+        variances.append(float(np.mean(np.diff(view, axis=1) ** 2)) / 2 if view.shape[1] > 1 else 0.0)
         levels.append(float(view.mean(dtype=np.float64)) - plane_black_dn(capture, plane) if view.size else math.nan)
-        sigmas.append(math.sqrt(noise2 / max(view.size, 1)))
+    pixels = capture.mosaic.size / len(levels)
+    blocks, block_pixels = _blocks(capture)
     about = capture.provenance
     return FileFacts(
         file,
@@ -62,10 +81,26 @@ def facts_of(file: str, folder: str, capture: Capture) -> FileFacts:
         Window(*capture.window, *capture.mosaic.shape),
         capture.exposure,
         tuple(levels),
-        max(sigmas),
+        math.sqrt(max(variances) / max(pixels, 1)),
+        blocks,
+        math.sqrt(float(np.mean(variances)) / max(block_pixels, 1)),
+        float(np.mean(capture.mosaic >= capture.sensor.white_dn)),
+        bool(about.get("window_stated", False)),
         f"{about.get('make') or ''} {about.get('model') or ''}".strip(),
         str(about.get("date_time") or ""),
+        rotation_deg,
     )
+
+
+def _blocks(capture: Capture) -> tuple[Float, int]:
+    """Block means above black, at most 24 x 24, and the pixels in a block; blocks hold all colours alike."""
+    rows, cols = capture.mosaic.shape
+    high, wide = (max(2, 2 * -(-n // (2 * BLOCKS))) for n in (rows, cols))
+    if rows < high or cols < wide:
+        return np.array([[float(capture.mosaic.mean()) - float(np.mean(capture.sensor.black_dn))]]), capture.mosaic.size
+    down, across = rows // high, cols // wide
+    part = capture.mosaic[: down * high, : across * wide].reshape(down, high, across, wide).mean(axis=(1, 3), dtype=np.float64)
+    return part - float(black_image_dn(capture, (0, 2, 0, 2)).mean()), high * wide
 
 
 def by_level(facts: Sequence[FileFacts]) -> list[list[FileFacts]]:
@@ -78,7 +113,32 @@ def by_level(facts: Sequence[FileFacts]) -> list[list[FileFacts]]:
     rising = sorted(facts, key=lambda f: f.level_dn)
     label = {id(rising[0]): 0}
     for low, high in pairwise(rising):
+        noise = CHANCE_SIGMAS * math.hypot(low.level_sigma_dn, high.level_sigma_dn)
         step = high.level_dn - low.level_dn
-        least = max(LEVEL_STEP * abs(high.level_dn), LEVEL_SIGMAS * math.hypot(low.level_sigma_dn, high.level_sigma_dn), 1.0)
-        label[id(high)] = label[id(low)] + (step > least)
+        label[id(high)] = label[id(low)] + (step > max(LEVEL_STEP * abs(high.level_dn), noise, LEAST_STEP_DN))
     return [[f for f in facts if label[id(f)] == number] for number in range(label[id(rising[-1])] + 1)]
+
+
+def by_look(facts: Sequence[FileFacts]) -> list[list[FileFacts]]:
+    """Files of one exposure and level in groups that show the same: frames of one shot; the order stays."""
+    groups: list[list[FileFacts]] = []
+    for fact in facts:
+        home = next((group for group in groups if _alike(group[0], fact)), None)
+        if home is None:
+            groups.append([fact])
+        else:
+            home.append(fact)
+    return groups
+
+
+def _alike(one: FileFacts, other: FileFacts) -> bool:
+    """Whether two thumbnails differ by a common factor and noise alone."""
+    if one.blocks_dn.shape != other.blocks_dn.shape:
+        return False
+    factor = other.level_dn / one.level_dn if abs(one.level_dn) > LEAST_STEP_DN else 1.0
+    apart = np.abs(other.blocks_dn - factor * one.blocks_dn)
+    allowed = np.maximum(
+        LOOK_STEP * max(abs(one.level_dn), LEAST_STEP_DN),
+        CHANCE_SIGMAS * math.hypot(one.block_sigma_dn, other.block_sigma_dn) + LEAST_STEP_DN,
+    )
+    return bool(np.mean(apart > allowed) <= 1 / 100)  # a hot pixel may stand out in a block or two

@@ -50,8 +50,11 @@ def _directory(entries, offset):
     return head + b"\0\0\0\0" + tail
 
 
-def write_dng(path, codes, *, phase, black, white, time_s, pixel_um, iso=100):
-    """Write ``codes`` (rows, cols) uint16; ``phase`` is the colour of the four first pixels, row by row, as 0 R, 1 G, 2 B."""
+def write_dng(path, codes, *, phase, black, white, time_s, pixel_um, iso=100, taken=None):
+    """Write ``codes`` (rows, cols) uint16; ``phase`` is the colour of the four first pixels, row by row, as 0 R, 1 G, 2 B.
+
+    ``taken`` is the date and time, "YYYY:MM:DD HH:MM:SS"; by default the file states none.
+    """
     rows, cols = codes.shape
     strip = np.ascontiguousarray(codes, dtype="<u2").tobytes()
     exif = [
@@ -71,6 +74,7 @@ def write_dng(path, codes, *, phase, black, white, time_s, pixel_um, iso=100):
             (50708, 2, _text("Foreign second camera")), (50710, 1, bytes((0, 1, 2))), (50711, 3, _short(1)),
             (50714, 5, _rational(black)), (50717, 4, _long(white)), (50721, 10, _signed(IDENTITY_MATRIX)),
             (50728, 5, _rational(1) * 3), (50778, 3, _short(21)),
+            *([(306, 2, _text(taken))] if taken else []),
         ]  # fmt: skip
 
     exif_at = 8 + len(_directory(main(0, 0), 8))

@@ -8,7 +8,7 @@ from typing import Any
 
 from isetval.app.cli.console import Console
 from isetval.app.cli.loop_commands import default_jobs, load_both, positive
-from isetval.app.cli.outcome import FINE, Outcome
+from isetval.app.cli.outcome import BAD_INPUT, FINE, Outcome
 
 
 def register_demo(commands: Any, common: argparse.ArgumentParser) -> None:
@@ -47,14 +47,23 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("--truth", type=Path, help="the truth file (default: DIR.truth.json)")
     p.add_argument("--diagnosis", type=Path, metavar="d.json", help="the answer: a result of isetval diagnose")
     p.set_defaults(handler=challenge_reveal, writes_result=True)
-    actions = commands.add_parser("campaign", help="campaign folders: init").add_subparsers(metavar="ACTION", required=True)
+    actions = commands.add_parser("campaign", help="campaign folders: init, check").add_subparsers(
+        metavar="ACTION", required=True
+    )
     p = actions.add_parser(
-        "init", parents=[common], help="a commented campaign.toml from what the files say", description=campaign_init.__doc__
+        "init", parents=[common], help="a folder of raw files becomes a campaign that runs", description=campaign_init.__doc__
     )
     p.add_argument("folder", metavar="FOLDER", type=Path)
-    p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "scene"), help="what all files show (default: guessed)")
-    p.add_argument("--camera", default="", metavar="MODEL", help="the nominal camera model, as the campaign shall name it")
+    p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "scene"), help="what all files show (default: found out)")
+    p.add_argument(
+        "--camera", default="", metavar="MODEL", help="the nominal camera model: a file, or isetval:pixel4a/camera.toml"
+    )
     p.set_defaults(handler=campaign_init, writes_result=False)
+    p = actions.add_parser(
+        "check", parents=[common], help="what a campaign would measure now", description=campaign_check.__doc__
+    )
+    p.add_argument("folder", metavar="FOLDER", type=Path)
+    p.set_defaults(handler=campaign_check, writes_result=False)
 
 
 def demo(args: argparse.Namespace, console: Console) -> Outcome:
@@ -114,14 +123,56 @@ def _hidden_words(truth: Any) -> str:
 
 
 def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
-    """Write a commented campaign.toml beside the DNGs of a folder, from what the files say; a person completes it."""
+    """Group and register the raw files of a folder into a campaign.toml that runs at once; campaign.html shows what was found."""
+    from isetval.app.report.campaign_page import write_campaign_page
     from isetval.core.hashing import file_hash
     from isetval.files.draft import draft_campaign, write_draft
+    from isetval.files.draft_text import sentences
 
     console.say(f"reading the files of {args.folder}")
-    draft = draft_campaign(args.folder, role=args.role, camera=args.camera)
+    draft = draft_campaign(args.folder, role=args.role, camera=args.camera, progress=console.progress)
     path = write_draft(draft, args.folder)
-    lines = [f"{path}: {draft.shots} shots drafted; complete the lines marked CHECK, then: isetval measure {args.folder}"]
+    page = write_campaign_page(draft, args.folder)
+    roles = [shot.role for shot in draft.shots]
+    counts = ", ".join(f"{roles.count(role)} {role}" for role in dict.fromkeys(roles))
+    lines = [f"{path}: {len(roles)} shots ({counts}); pictures of what was found: {page}"]
+    lines += [f"not known: {words}" for words in sentences(draft.unknown)]
+    lines += [f"not used: {one.group.first.folder or '.'}: {one.content.why}" for one in draft.seen if not one.shots]
     lines += [f"left out: {file}: {reason}" for file, reason in draft.skipped]
-    result = {"kind": "campaign init", "file": str(path), "shots": draft.shots, "skipped": [list(s) for s in draft.skipped]}
+    lines += [f"note: {note}" for note in draft.notes]
+    lines.append(f"next: isetval measure {args.folder}")
+    result = {
+        "kind": "campaign init",
+        "file": str(path),
+        "page": str(page),
+        "shots": len(roles),
+        "roles": {role: roles.count(role) for role in dict.fromkeys(roles)},
+        "unknown": [list(row) for row in draft.unknown],
+        "skipped": [list(s) for s in draft.skipped],
+        "notes": list(draft.notes),
+    }
     return Outcome(result, lines, FINE, {str(path): file_hash(path)})
+
+
+def campaign_check(args: argparse.Namespace, console: Console) -> Outcome:
+    """Read a campaign as measure would, open every file, and tell shot by shot what would be measured and what would not."""
+    import isetval
+    from isetval.app.cli.tables import text_table
+    from isetval.files.campaign_check import check_campaign
+    from isetval.files.captures import input_hashes
+
+    console.say(f"reading {args.folder}")
+    campaign = isetval.load_campaign(args.folder)
+    rows = check_campaign(campaign, progress=console.progress)
+    header = ("shot", "role", "session", "frames", "analyses", "doubts")
+    body = [(r.shot, r.role, r.session, f"{r.readable}/{r.frames}", " ".join(r.analyses), "; ".join(r.doubts)) for r in rows]
+    lines = [f"# {campaign.name}: {sum(bool(r.readable) for r in rows)} of {len(rows)} shots would be measured"]
+    lines += text_table(header, body)
+    lines += [f"left out: {file}: {reason}" for file, reason in campaign.captures.skipped]
+    result = {
+        "kind": "campaign check",
+        "campaign": campaign.name,
+        "shots": [vars(r) for r in rows],
+        "skipped": [{"file": file, "reason": reason} for file, reason in campaign.captures.skipped],
+    }
+    return Outcome(result, lines, FINE if any(r.readable for r in rows) else BAD_INPUT, input_hashes(campaign))

@@ -1,0 +1,69 @@
+"""What a campaign would measure, without measuring it: files that can be read, targets inside their windows, clipped levels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from isetval.core.campaign import Campaign, Shot
+from isetval.core.capture import Capture
+from isetval.files.file_facts import WHITE_SHARE, facts_of
+from isetval.measure.campaign import analyses
+
+Progress = Callable[[str, int, int], None]
+DARK_SHARE = 0.001  # of the range: a lit shot below has nothing to measure
+
+
+@dataclass(frozen=True)
+class CheckedShot:
+    """One shot: how many of its frames can be read, which analyses would run, and what is doubtful."""
+
+    shot: str
+    role: str
+    session: str
+    setup: str
+    frames: int
+    readable: int
+    analyses: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def check_campaign(campaign: Campaign, *, progress: Progress | None = None) -> list[CheckedShot]:
+    """Open every shot of a campaign and say what would be measured.
+
+    Files that cannot be read are then in ``campaign.captures.skipped``.
+    """
+    out = []
+    for i, shot in enumerate(campaign.shots):
+        frames = campaign.captures.read(shot.name)
+        names = tuple(module.__name__.rsplit(".", 1)[-1] for module in analyses(shot.role)) if frames else ()
+        doubts = tuple(_doubts(shot, frames[0])) if frames else ("no frame can be read",)
+        out.append(
+            CheckedShot(shot.name, shot.role, shot.measurement_session, shot.setup, len(shot.files), len(frames), names, doubts)
+        )
+        if progress is not None:
+            progress(f"checking {shot.name}", i + 1, len(campaign.shots))
+    return out
+
+
+def _doubts(shot: Shot, capture: Capture) -> list[str]:
+    """What would be refused or weak, by the first frame."""
+    fact = facts_of(shot.name, "", capture)
+    out = []
+    if shot.window is not None and tuple(shot.window[2:]) != capture.mosaic.shape:
+        out.append(
+            f"the window has {shot.window[2]} x {shot.window[3]} pixels, its files {fact.window.rows} x {fact.window.cols}"
+        )
+    if fact.clipped > WHITE_SHARE:
+        out.append(f"{100 * fact.clipped:.1f} % of the pixels stand at white")
+    if shot.role != "dark" and fact.level_dn < DARK_SHARE * fact.span_dn:
+        out.append("it is as dark as a dark")
+    if shot.exposure.time_s is None:
+        out.append("no exposure time: it cannot be compared with a model")
+    rows, cols = capture.mosaic.shape
+    regions = [patch.box for patch in getattr(shot.target, "patches", ())]
+    regions += [roi] if (roi := getattr(shot.target, "roi", None)) is not None else []
+    outside = sum(not (0 <= r0 < r1 <= rows and 0 <= c0 < c1 <= cols) for r0, r1, c0, c1 in regions)
+    if outside:
+        out.append(f"{outside} of {len(regions)} regions lie outside the window of {rows} x {cols} pixels")
+    return out

@@ -1,0 +1,250 @@
+"""From groups of files to a drafted campaign: set-ups, lights, targets in the shots' windows, and what nobody can know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from isetval.camera.model import CameraModel
+from isetval.core.region import Window
+from isetval.core.scene import Box
+from isetval.core.sensor import Sensor, pattern_at
+from isetval.core.spectrum import Spectrum
+from isetval.files.draft_types import DraftLight, DraftShot, DraftTarget, Seen
+from isetval.files.file_facts import FileFacts
+from isetval.files.folder_words import PUBLISHED
+from isetval.files.light_levels import dark_levels, green_dn, green_rate, known_exposure, lit_setups, scale_for
+from isetval.files.registration import ChartPose, EdgePose
+from isetval.files.shot_grouping import ShotGroup, repeats
+
+WHITE, BRIGHT = 0.9, 0.8  # reflectance of a chart's white patch, and of an edge's bright side where no flat tells
+LARGE_PX = 1_000_000  # frames beyond are looked at in parts: a fit shoots every pixel of a plan a hundred times
+FLAT_PART_PX, DARK_PART_PX, FIELD_PART_PX = 192, 256, 64
+FIELD_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5),
+                (0.95, 0.95), (-0.95, 0.95), (0.95, -0.95), (-0.95, -0.95))  # fmt: skip
+SURROUND_PX = 24  # of a registered region: what its lens blurs into it
+
+
+@dataclass(eq=False)
+class Drafting:
+    """The campaign as it grows: shots, targets and lights by name."""
+
+    sensor: Sensor
+    model: CameraModel | None
+    spectra: Mapping[str, Spectrum]
+    seen: Sequence[Seen]
+    shots: list[DraftShot] = field(default_factory=list)
+    targets: list[DraftTarget] = field(default_factory=list)
+    lights: dict[str, DraftLight] = field(default_factory=dict)
+    made: dict[int, list[str]] = field(default_factory=dict)
+    rates: dict[str, float] = field(default_factory=dict)
+
+    def add(self, index: int, shot: DraftShot) -> None:
+        """One more shot, made of the group with this number."""
+        self.shots.append(shot)
+        self.made.setdefault(index, []).append(shot.name)
+
+
+def placed(fact: FileFacts, sensor: Sensor) -> Window:
+    """Window of a file: as it states, or the whole sensor; a crop that states nothing lies in the middle, colours in phase."""
+    rows, cols = fact.window.rows, fact.window.cols
+    if fact.placed or (rows, cols) == (sensor.rows, sensor.cols):
+        return fact.window
+    top, left = (sensor.rows - rows) // 4 * 2, (sensor.cols - cols) // 4 * 2
+    own = pattern_at(fact.sensor.cfa, fact.window.origin)
+    for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        window = Window(top + down, left + across, rows, cols)
+        if pattern_at(sensor.cfa, window.origin) == own and window.fits((sensor.rows, sensor.cols)):
+            return window
+    return Window(0, 0, rows, cols)
+
+
+def drafted(seen: Sequence[Seen], sensor: Sensor, model: CameraModel | None, spectra: Mapping[str, Spectrum]) -> Drafting:
+    """All shots of a folder that a campaign can hold."""
+    work = Drafting(sensor, model, spectra, seen)
+    number = {id(one.group): i for i, one in enumerate(seen)}
+    by_role: dict[str, list[ShotGroup]] = {}
+    for one in seen:
+        by_role.setdefault(one.content.role, []).append(one.group)
+    darks = by_role.get("dark", [])
+    for group in darks:
+        _add_plain(work, number[id(group)], group, "dark", f"{group.session} {group.first.folder or 'darks'}")
+    dark_dn = dark_levels(darks)
+    setups, references = lit_setups(by_role.get("flat", []), dark_dn)
+    for name, group in references.items():
+        work.rates[name] = green_rate(group, dark_dn)
+        _add_light(work, name, group, green_dn(group))
+    for setup in setups:
+        for group in setup.groups:
+            _add_plain(work, number[id(group)], group, "flat", setup.name, light=setup.light, level=setup.level)
+    for group in by_role.get("edge", []):
+        _add_edges(work, number[id(group)], group, dark_dn)
+    _add_charts(work, by_role.get("chart", []), number, dark_dn)
+    _add_repeats(work)
+    return work
+
+
+def _name(work: Drafting, role: str) -> str:
+    return f"{role}_{1 + sum(shot.role == role for shot in work.shots):02d}"
+
+
+def _parts(window: Window, role: str) -> list[Window]:
+    """The window of a dark or flat; of a large frame the middle, and for flats thirteen places of the field."""
+    if window.rows * window.cols <= LARGE_PX:
+        return [window]
+
+    def at(x: float, y: float, side: int) -> Window:
+        row = window.row0 + 2 * round((window.rows - side) / 4 * (1 + y))
+        col = window.col0 + 2 * round((window.cols - side) / 4 * (1 + x))
+        return Window(row, col, side, side)
+
+    if role == "dark":
+        return [at(0, 0, DARK_PART_PX)]
+    return [at(0, 0, FLAT_PART_PX), *(at(x, y, FIELD_PART_PX) for x, y in FIELD_PLACES[1:])]
+
+
+def _add_plain(
+    work: Drafting, index: int, group: ShotGroup, role: str, setup: str, *, light: str = "", level: float = 1.0
+) -> None:
+    window = placed(group.first, work.sensor)
+    for part in _parts(window, role):
+        comment = work.seen[index].content.why
+        work.add(index, DraftShot(_name(work, role), role, group, part, setup, comment, light, level))
+
+
+def _add_light(work: Drafting, name: str, group: ShotGroup, white_dn: float) -> DraftLight:
+    """A light with the published spectrum of its name, scaled so that the camera model sees what the files hold."""
+    if name not in work.lights:
+        column = name if name in PUBLISHED.values() else "E"
+        scale = None
+        if work.model is not None and white_dn > 0:
+            known = known_exposure(group)
+            scale = scale_for(work.model, known, placed(group.first, work.sensor), work.spectra[column], white_dn)
+        work.lights[name] = DraftLight(name, column, 1e-4 if scale is None else scale, scale is not None)
+    return work.lights[name]
+
+
+def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[float | None, float]) -> None:
+    edges = work.seen[index].content.edges
+    light = group.words.light or (next(iter(work.rates)) if len(work.rates) == 1 else "light")
+    time_s, iso = group.first.exposure.time_s, (group.first.exposure.iso or 100.0) / 100.0
+    dark = dark_dn.get(time_s, 0.0)
+    setup = f"{group.session} {group.first.folder or group.first.file}"
+    window = placed(group.first, work.sensor)
+    for edge in edges:
+        bright, low = (max(level - dark, 0.0) for level in (edge.bright_dn, edge.dark_dn))
+        level = 1.0
+        white = work.rates[light] * (time_s or 1.0) * iso if light in work.rates else bright / BRIGHT
+        if bright > white:  # brighter than a perfect white in the reference light: more light than that
+            level, white = bright / BRIGHT / white, bright / BRIGHT
+        _add_light(work, light, group, white / level)
+        part, moved = _cut(window, edge.roi)
+        name = _name(work, "edge")
+        source = "the flats of its light" if light in work.rates else f"a bright side taken for {BRIGHT}"
+        comment = f"pose found to {edge.sigma_px:.3f} px; both reflectances are read off the picture, by {source}"
+        work.targets.append(_edge_target(name, edge, part, window, moved, (low / white, bright / white), comment))
+        work.add(index, DraftShot(name, "edge", group, part, setup, work.seen[index].content.why, light, level, name))
+
+
+def _cut(window: Window, roi: Box) -> tuple[Window, tuple[int, int]]:
+    """The part of a large frame around a region, and the part's first pixel in the frame."""
+    if window.rows * window.cols <= LARGE_PX:
+        return window, (0, 0)
+    top, left = (max(0, (n - SURROUND_PX) // 2 * 2) for n in (roi[0], roi[2]))
+    bottom, right = min(window.rows, roi[1] + SURROUND_PX), min(window.cols, roi[3] + SURROUND_PX)
+    return Window(window.row0 + top, window.col0 + left, (bottom - top) // 2 * 2, (right - left) // 2 * 2), (top, left)
+
+
+def _edge_target(
+    name: str, edge: EdgePose, part: Window, window: Window, moved: tuple[int, int], levels: tuple[float, float], comment: str
+) -> DraftTarget:
+    """The edge seen from the middle of its part of the frame."""
+    slope = math.tan(math.radians(edge.angle_deg))
+    shift_row = moved[0] + (part.rows - 1) / 2 - (window.rows - 1) / 2  # middle of the part from that of the frame
+    shift_col = moved[1] + (part.cols - 1) / 2 - (window.cols - 1) / 2
+    if edge.orientation == "vertical":
+        offset = [0.0, round(edge.offset_px[1] + slope * shift_row - shift_col, 3)]
+    else:
+        offset = [round(edge.offset_px[0] + slope * shift_col - shift_row, 3), 0.0]
+    table = {
+        "kind": "edge",
+        "angle_deg": round(edge.angle_deg, 3),
+        "orientation": edge.orientation,
+        "offset_px": offset,
+        "dark_side": edge.dark_side,
+        "dark_reflectance": round(min(levels[0], 1.0), 4),
+        "bright_reflectance": round(min(levels[1], 1.0), 4),
+        "roi": [edge.roi[0] - moved[0], edge.roi[1] - moved[0], edge.roi[2] - moved[1], edge.roi[3] - moved[1]],
+    }
+    return DraftTarget(name, table, comment=comment)
+
+
+def _add_charts(
+    work: Drafting, groups: Sequence[ShotGroup], number: Mapping[int, int], dark_dn: Mapping[float | None, float]
+) -> None:
+    """Charts: light by light, levels by the white patch where the charts stand at one place of the field."""
+    for light in dict.fromkeys(group.words.light or "light" for group in groups):
+        own = [group for group in groups if (group.words.light or "light") == light]
+        white = {id(g): _white_rate(work.seen[number[id(g)]].content.chart, g) for g in own}
+        first = max(own, key=lambda g: white[id(g)])
+        time_s, iso = first.first.exposure.time_s or 1.0, (first.first.exposure.iso or 100.0) / 100.0
+        reference = work.rates.get(light, white[id(first)] / WHITE)
+        _add_light(work, light, first, reference * time_s * iso)
+        one_place = len({placed(g.first, work.sensor) for g in own}) == 1
+        for group in own:
+            chart = work.seen[number[id(group)]].content.chart
+            if chart is None:
+                continue
+            index, name = number[id(group)], _name(work, "chart")
+            window = placed(group.first, work.sensor)
+            rows, cols = (np.array([box[k] for box in chart.boxes]) for k in (slice(0, 2), slice(2, 4)))
+            pitch = int(np.median(rows[:, 1] - rows[:, 0]))
+            outline = (rows.min() - pitch, rows.max() + pitch, cols.min() - pitch, cols.max() + pitch)
+            part, moved = _cut(window, (max(0, int(outline[0])), int(outline[1]), max(0, int(outline[2])), int(outline[3])))
+            level = white[id(group)] / WHITE / reference if one_place else 1.0
+            work.targets.append(_chart_target(name, chart, moved))
+            setup = f"{group.session} {group.first.folder or group.first.file}"
+            why = work.seen[index].content.why
+            comment = f"{why}, turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane"
+            work.add(index, DraftShot(name, "chart", group, part, setup, comment, light, level, name))
+
+
+def _white_rate(chart: ChartPose | None, group: ShotGroup) -> float:
+    """Green of the brightest neutral patch over exposure and ISO/100, DN/s."""
+    if chart is None:
+        return 0.0
+    iso = (group.first.exposure.iso or 100.0) / 100.0
+    return float(chart.levels_dn[18, 1]) / (group.first.exposure.time_s or 1.0) / iso
+
+
+def _chart_target(name: str, chart: ChartPose, moved: tuple[int, int]) -> DraftTarget:
+    boxes = [(r0 - moved[0], r1 - moved[0], c0 - moved[1], c1 - moved[1]) for r0, r1, c0, c1 in chart.boxes]
+    reflectance = published_reflectances()
+    patches = tuple(zip(chart.names, boxes, reflectance, strict=True))
+    comment = f"patches are {chart.side:.3f} of their pitch; centres agree with one plane to {chart.error_px:.2f} px"
+    return DraftTarget(name, {"kind": "chart", "margin_px": chart.margin_px, "surround": 0.05}, patches, comment)
+
+
+def published_reflectances() -> list[float]:
+    """Luminous reflectance of the 24 patches by their published colours: right for greys, flat where a patch is coloured."""
+    from isetval.measure.color.chart_layout import linear_rgb
+
+    luminance = linear_rgb() @ np.array([0.2126, 0.7152, 0.0722])  # IEC 61966-2-1
+    return [round(float(v), 4) for v in luminance]
+
+
+def _add_repeats(work: Drafting) -> None:
+    """Shots whose folder says that it repeats another, as ``repeat_of`` the shot of the same target there."""
+    groups = [one.group for one in work.seen]
+    by_name = {shot.name: i for i, shot in enumerate(work.shots)}
+    for again, base in repeats(groups).items():
+        originals = [work.shots[by_name[name]] for name in work.made.get(base, [])]
+        for name in work.made.get(again, []):
+            i = by_name[name]
+            shot = work.shots[i]
+            twin = next((o for o in originals if (o.role, o.window) == (shot.role, shot.window)), None)
+            if twin is not None:
+                work.shots[i] = replace(shot, repeat_of=twin.name)

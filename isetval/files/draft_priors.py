@@ -1,0 +1,136 @@
+"""Priors of a drafted campaign, and what the darks say of the camera: each with the sentence that tells how it was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from isetval.core.capture import Capture
+from isetval.core.errors import InputError
+from isetval.files.captures import FileCaptures
+from isetval.files.draft_types import DraftLight, DraftPrior
+from isetval.files.light_levels import LitSetup
+from isetval.files.shot_grouping import ShotGroup
+
+LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady
+SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
+LEAST_SETUP_LEVEL = 0.005
+DARK_SIDE_PX = 256  # 65 536 pixels give read noise to .3 %
+
+
+def flicker(flats: Sequence[ShotGroup]) -> tuple[float, int] | None:
+    """Relative standard deviation of the light from frame to frame, and the frames that it was found from.
+
+    The scatter of frame means less that of their pixel noise, pooled over all flats of two frames or more.
+    """
+    total, dof = 0.0, 0
+    for group in flats:
+        if len(group.facts) < 2 or group.clipped or group.level_dn <= 0:
+            continue
+        means = np.array([fact.level_dn for fact in group.facts]) / group.level_dn
+        noise = np.mean([fact.level_sigma_dn**2 for fact in group.facts]) / len(group.first.levels_dn) / group.level_dn**2
+        total += (len(means) - 1) * (float(means.var(ddof=1)) - float(noise))
+        dof += len(means) - 1
+    return (math.sqrt(max(total / dof, 0.0)), dof + 1) if dof else None
+
+
+def level_scatter(setups: Sequence[LitSetup], repeated: Sequence[tuple[str, str]]) -> tuple[float, int] | None:
+    """Relative standard deviation of the light between set-ups that were made again, and how many pairs there are."""
+    level = {setup.name: setup.level for setup in setups}
+    apart = [level[a] / level[b] - 1 for a, b in repeated if a in level and b in level]
+    return (math.sqrt(float(np.mean(np.square(apart))) / 2), len(apart)) if apart else None
+
+
+def light_priors(
+    flats: Sequence[ShotGroup], setups: Sequence[LitSetup], repeated: Sequence[tuple[str, str]], lights: Sequence[DraftLight]
+) -> list[DraftPrior]:
+    """Priors on the level, steadiness, evenness and colour of the light."""
+    scatter, steady = level_scatter(setups, repeated), flicker(flats)
+    if scatter is None:
+        level = (SETUP_LEVEL, "CHECK: nothing was set up twice, so this is an assumption")
+    else:
+        level = (max(scatter[0], LEAST_SETUP_LEVEL), f"found: scatter of {scatter[1]} set-ups that were made again")
+    if steady is None:
+        per_frame = (0.002, "CHECK: no flat has two frames, so this is an assumption")
+    else:
+        per_frame = (max(steady[0], LEAST_FLICKER), f"found: scatter of the means of {steady[1]} flat frames beyond pixel noise")
+    lit = ("flat", "edge", "chart")
+    out = [
+        DraftPrior("light_level", level[0], "relative", "set-up", level[1], lit),
+        DraftPrior("light_level", per_frame[0], "relative", "frame", per_frame[1], lit),
+    ]
+    for axis in ("x", "y"):
+        out.append(
+            DraftPrior(f"light_tilt_{axis}", 0.01, "relative", "measurement session", "CHECK: evenness of the field", ("flat",))
+        )
+    guessed = tuple(light.name for light in lights if not light.told)
+    if guessed:
+        words = "the level of a light whose radiance nobody stated; drop it once the spectrum is filled in"
+        out.append(DraftPrior("light_level", 0.2, "relative", "campaign", words, lit, guessed))
+    for light in lights:
+        width = 0.2 if light.column == "E" else 0.05
+        words = f"CHECK: {light.name} is taken for {light.column}; .02 once its spectrum is measured"
+        out.append(DraftPrior("spectrum_tilt", width, "relative per 100 nm", "measurement session", words, (), (light.name,)))
+    return out
+
+
+def target_priors(roles: set[str]) -> list[DraftPrior]:
+    """Priors on the pose and brightness of targets, for the roles that a campaign has."""
+    out = []
+    if "edge" in roles:
+        out += [
+            DraftPrior("focus_um", 2.0, "um", "measurement session", "CHECK: how well was the focus set?", ("edge",)),
+            DraftPrior("edge_shift_px", 0.3, "px", "set-up", "the pose was found in the files to about .05 px", ("edge",)),
+            DraftPrior("edge_angle_deg", 0.1, "deg", "set-up", "and to about .05 degrees", ("edge",)),
+            DraftPrior(
+                "dark_reflectance", 0.01, "reflectance", "measurement session", "the dark side was read off the files", ("edge",)
+            ),
+        ]
+    if "chart" in roles:
+        for axis in ("x", "y"):
+            words = "CHECK: how evenly was the chart lit?"
+            out.append(DraftPrior(f"target_tilt_{axis}", 0.02, "relative", "set-up", words, ("chart",)))
+    return out
+
+
+def camera_words(darks: Sequence[ShotGroup], captures: FileCaptures) -> list[str]:
+    """Black level, read noise and dark current by the darks of each visit, in sentences."""
+    from isetval.measure import dark
+
+    out = []
+    for session in dict.fromkeys(group.session for group in darks):
+        own = [group for group in darks if group.session == session]
+        window = own[0].first.window
+        frames = [_middle(c) for g in own if g.first.window == window for f in g.files if (c := captures.take("", f)) is not None]
+        try:
+            planes = dark(frames)
+        except InputError as error:
+            out.append(f"visit {session}: the darks give no read noise: {error}")
+            continue
+        found: Mapping[str, list[float]] = {
+            name: [q.value for p in planes if math.isfinite((q := getattr(planes[p], name)).value)]
+            for name in ("read_noise_dn", "dark_current_dn_per_s", "black_level_dn")
+        }
+        parts = [
+            f"{words} {np.mean(found[name]):.4g} {unit}"
+            for name, words, unit in (
+                ("black_level_dn", "black level", "DN"),
+                ("read_noise_dn", "read noise", "DN"),
+                ("dark_current_dn_per_s", "dark current", "DN/s"),
+            )
+            if found[name]
+        ]
+        out.append(f"visit {session}: {', '.join(parts)} (mean of the planes, from {len(frames)} dark frames)")
+    return out
+
+
+def _middle(capture: Capture) -> Capture:
+    """The middle of a capture: enough pixels for a noise, at its place on the sensor."""
+    from dataclasses import replace
+
+    rows, cols = (min(n, DARK_SIDE_PX) for n in capture.mosaic.shape)
+    top, left = ((n - m) // 4 * 2 for n, m in zip(capture.mosaic.shape, (rows, cols), strict=True))
+    part = capture.mosaic[top : top + rows, left : left + cols]
+    return replace(capture, mosaic=part, window=(capture.window[0] + top, capture.window[1] + left))

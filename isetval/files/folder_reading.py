@@ -1,0 +1,98 @@
+"""Reading a laboratory's folder: every raw file at every level, and a sentence for each that cannot be used."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from isetval.core.errors import InputError
+from isetval.files.captures import FileCaptures
+from isetval.files.file_facts import FileFacts, facts_of
+from isetval.files.loose_files import files_below
+
+Progress = Callable[[str, int, int], None]
+TURNS_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: 270.0}  # Exif orientation, how the camera was turned
+PICTURES = (".jpg", ".jpeg", ".heic", ".mp4")  # rendered by the camera: levels and noise are no longer the sensor's
+
+
+@dataclass(frozen=True, eq=False)
+class FolderFacts:
+    """What a folder holds: facts of the files of one camera, captures to look at again, and what was left out and why."""
+
+    folder: Path
+    facts: tuple[FileFacts, ...]
+    captures: FileCaptures
+    refused: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+
+
+def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFacts:
+    """Read all raw files below a folder.
+
+    Raises
+    ------
+    InputError
+        If there is no folder, no raw file in it, or none that can be read.
+    """
+    from isetval.files.dng import read_dng
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; name the folder that holds the DNG files")
+    files = [path.relative_to(folder).as_posix() for path in files_below(folder)]
+    if not files:
+        raise InputError(f"{folder}: holds no DNG file at any level; name the folder that holds them")
+    captures = FileCaptures({"": files}, lambda _, file: read_dng(folder / file), folder=folder)
+    facts = []
+    for i, file in enumerate(files):
+        capture = captures.look_ahead("", file)
+        if capture is not None:
+            try:
+                parent = Path(file).parent.as_posix()
+                facts.append(facts_of(file, "" if parent == "." else parent, capture, rotation_deg=_turned(folder / file)))
+            except Exception as error:  # one odd file must not lose the others
+                captures.refuse(file, error)
+        if progress is not None:
+            progress(f"reading {file}", i + 1, len(files))
+    if not facts:
+        file, reason = captures.skipped[0]
+        raise InputError(f"{folder}: none of its {len(files)} DNG files can be read; the first: {file}: {reason}")
+    mine, others = _one_camera(facts)
+    rest = [path for path in folder.rglob("*") if path.is_file() and path.suffix.lower() in PICTURES]
+    notes = (
+        [f"{len(rest)} rendered pictures or films ({rest[0].name} ...) are no raw data and were not looked at"] if rest else []
+    )
+    return FolderFacts(folder, tuple(mine), captures, (*captures.skipped, *others), tuple(notes))
+
+
+def _turned(path: Path) -> float:
+    """How the camera was turned, by the file's orientation tag."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            tag = tiff.pages[0].tags.get(274)
+            return TURNS_DEG.get(int(tag.value), 0.0) if tag is not None else 0.0
+    except (tifffile.TiffFileError, OSError, ValueError):
+        return 0.0
+
+
+def _one_camera(facts: Sequence[FileFacts]) -> tuple[list[FileFacts], list[tuple[str, str]]]:
+    """The files of the camera that took most, and a sentence for each of the others."""
+
+    def camera(fact: FileFacts) -> tuple[object, ...]:
+        return (fact.camera, fact.sensor.white_dn, fact.sensor.bits, fact.sensor.pixel_um, fact.sensor.cfa == "MONO")
+
+    most = Counter(camera(fact) for fact in facts).most_common(1)[0][0]
+    words = f"{most[0] or 'an unnamed camera'}, white {most[1]:g} DN"
+    others = [
+        (
+            fact.file,
+            f"was taken by {fact.camera or 'an unnamed camera'}, white {fact.sensor.white_dn:g} DN, most files by {words}; "
+            "make a campaign of its own for it",
+        )
+        for fact in facts
+        if camera(fact) != most
+    ]
+    return [fact for fact in facts if camera(fact) == most], others

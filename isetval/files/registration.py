@@ -1,0 +1,247 @@
+"""Where the target of a picture lies: a chart's patches by homography, slanted edges by their fit, evenness of flats."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.capture import Capture
+from isetval.core.errors import InputError, MeasurementError
+from isetval.core.scene import Box
+from isetval.files.file_facts import FileFacts
+from isetval.files.shot_grouping import ShotGroup
+from isetval.files.target_search import upright_box
+
+Float = NDArray[np.float64]
+DARK_SHARE = 0.004  # of the range: below what a lens cap leaks, above what dark current and a wrong black level make
+DARK_SHARE_NAMED = 0.05  # where the folder says dark: long exposures of warm sensors
+EVEN_RESIDUAL = 0.015  # of the mean: what fourth-order fall-off leaves of a real flat (dust, texture)
+EVEN_ORDER = 4
+RANSAC_PITCHES = 0.06  # a centre farther off its projection is not where its patch is
+SIDE_STEPS = np.arange(0.0, 0.5001, 0.005)
+LEAST_CONTRAST = 0.08  # of the brightest patch: fainter borders do not tell where a patch ends
+MARGIN_SHARE = 0.1
+LEAST_MARGIN_PX = 4  # the blur of a lens in focus
+MOST_EDGES = 12  # of one picture: the sharpest and longest tell as much as hundreds
+
+
+@dataclass(frozen=True, eq=False)
+class ChartPose:
+    """A registered chart in pixels of its capture: upright boxes of all patches, and how it stands.
+
+    ``matrix`` projects (column, row) in patch pitches to (column, row) in pixels; ``side`` is that of a patch in
+    pitches; ``outliers`` counts patches whose centre the projection does not explain; ``error_px`` is the rms distance
+    of the others.
+    """
+
+    names: tuple[str, ...]
+    boxes: tuple[Box, ...]
+    levels_dn: Float
+    matrix: Float
+    side: float
+    turn_deg: float
+    tilt: tuple[float, float]
+    outliers: int
+    error_px: float
+    margin_px: int
+
+
+@dataclass(frozen=True)
+class EdgePose:
+    """A slanted edge in pixels of its capture; ``offset_px`` is its point nearest the capture's middle along its own axis."""
+
+    roi: Box
+    angle_deg: float
+    orientation: str
+    dark_side: str
+    offset_px: tuple[float, float]
+    sigma_px: float
+    dark_dn: float
+    bright_dn: float
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """What a shot shows and why that is thought; ``refused`` are (region, reason) of what was looked at and not taken."""
+
+    role: str
+    why: str
+    chart: ChartPose | None = None
+    edges: tuple[EdgePose, ...] = ()
+    refused: tuple[tuple[Box, str], ...] = ()
+
+
+def recognized(group: ShotGroup, capture: Capture, *, role: str | None = None) -> Content:
+    """What the first frame of a shot shows; ``role`` overrules the guess, targets are still searched."""
+    fact, said = group.first, role or group.words.role
+    share = max(fact.levels_dn) / fact.span_dn
+    even = unevenness(fact)
+    if role in ("dark", "flat"):
+        return Content(role, "as told")
+    if role is None and said != "flat" and share < (DARK_SHARE_NAMED if said == "dark" else DARK_SHARE):
+        return Content("dark", f"its mean lies {100 * share:.2f} % of the range above black")
+    if role is None and even <= 0:
+        return Content("flat", "its blocks differ by smooth fall-off and noise alone")
+    if role is None and min(fact.blocks_dn.shape) < 4 and said in ("dark", "flat"):
+        return Content(said, "the name says so; it is too small to tell")
+    return _structured(capture, said, role)
+
+
+def _structured(capture: Capture, said: str, role: str | None) -> Content:
+    """A picture with structure: a chart or edges, in the order in which names make them likely."""
+    tried: list[str] = []
+    refused: tuple[tuple[Box, str], ...] = ()
+    for look in ("edge", "chart") if said == "edge" else ("chart", "edge"):
+        if role not in (None, look):
+            continue
+        try:
+            if look == "chart":
+                return Content("chart", "a chart of 24 patches was found", chart=register_chart(capture))
+            edges, refused = register_edges(capture)
+            if edges:
+                return Content("edge", f"{len(edges)} slanted edges were found", edges=edges, refused=refused)
+            tried.append(f"no slanted edge ({len(refused)} candidates refused)")
+        except InputError as error:
+            tried.append(str(error))
+    return Content("scene", "; ".join(tried), refused=refused)
+
+
+def unevenness(fact: FileFacts) -> float:
+    """How far the blocks of a file are from smooth: 0 and less for flats.
+
+    The rms distance of block means from a fourth-order surface, over what noise and dust explain, less 1.
+    """
+    blocks = fact.blocks_dn
+    order = EVEN_ORDER if min(blocks.shape) >= 3 * EVEN_ORDER else 2
+    if min(blocks.shape) < 4:
+        return 0.0
+    y, x = (np.linspace(-1, 1, n) for n in blocks.shape)
+    design = np.array([np.outer(y**i, x**j).ravel() for i in range(order + 1) for j in range(order + 1 - i)]).T
+    residual = blocks.ravel() - design @ np.linalg.lstsq(design, blocks.ravel(), rcond=None)[0]
+    free = max(residual.size - design.shape[1], 1)
+    rms = math.sqrt(float(residual @ residual) / free)
+    return rms / max(EVEN_RESIDUAL * abs(fact.level_dn), 3 * fact.block_sigma_dn, 1e-9) - 1
+
+
+def register_chart(capture: Capture) -> ChartPose:
+    """Find a 24-patch chart and the box of each of its patches.
+
+    Raises
+    ------
+    MeasurementError
+        Where none is found, its patches do not lie on one plane, or it stands too obliquely for upright boxes.
+    """
+    from skimage.measure import ransac
+    from skimage.transform import ProjectiveTransform
+
+    from isetval.measure.color.chart_finding import find_chart, preview
+    from isetval.measure.color.chart_layout import PATCH_NAMES
+
+    found = find_chart(capture)
+    grid = np.stack(np.divmod(np.arange(24), 6), axis=1)[:, ::-1].astype(float)  # (column, row) in pitches
+    pixels = found.centers_px[:, ::-1]
+    pitch = float(np.median(np.hypot(*np.diff(pixels.reshape(4, 6, 2), axis=1).reshape(-1, 2).T)))
+    model, inliers = ransac(
+        (grid, pixels), ProjectiveTransform, min_samples=4, residual_threshold=RANSAC_PITCHES * pitch, max_trials=500, rng=0
+    )
+    if inliers is None or inliers.sum() < 12:
+        raise MeasurementError("a chart was found but its patches do not lie on one plane; flatten it, or give its boxes by hand")
+    bin_px = 1 if capture.sensor.cfa == "MONO" else 2
+    picture = preview(capture, bin_px)
+    side = _patch_side(picture, model, grid, bin_px)
+    half = side / 2
+    square = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    quads = np.stack([model(center + square)[:, ::-1] for center in grid])
+    boxes = tuple(upright_box(quad) for quad in quads)
+    inside = [
+        picture[r0 // bin_px + 2 : r1 // bin_px - 2, c0 // bin_px + 2 : c1 // bin_px - 2].reshape(-1, 3).mean(axis=0)
+        for r0, r1, c0, c1 in boxes
+    ]
+    smallest = min(min(b[1] - b[0], b[3] - b[2]) for b in boxes)
+    margin = max(min(LEAST_MARGIN_PX, smallest // 4), round(MARGIN_SHARE * smallest))
+    distance = np.hypot(*(model(grid) - pixels)[inliers].T)
+    along, top, bottom = (model(np.array(ends, float)) for ends in ([[0, 0], [5, 0]], [[0, 0], [5, 0]], [[0, 3], [5, 3]]))
+    left, right = (model(np.array(ends, float)) for ends in ([[0, 0], [0, 3]], [[5, 0], [5, 3]]))
+    lengths = [float(np.hypot(*np.diff(ends, axis=0)[0])) for ends in (left, right, top, bottom)]
+    direction = along[1] - along[0]
+    return ChartPose(
+        PATCH_NAMES,
+        boxes,
+        np.array(inside),
+        np.asarray(model.params, dtype=float),
+        side,
+        float(np.degrees(np.arctan2(direction[1], direction[0]))),
+        (lengths[1] / lengths[0] - 1, lengths[3] / lengths[2] - 1),
+        int((~inliers).sum()),
+        float(np.sqrt(np.mean(distance**2))),
+        margin,
+    )
+
+
+def _patch_side(picture: Float, model: object, grid: Float, bin_px: int) -> float:
+    """Side of a patch in pitches: where the signal from a patch's middle outwards is halfway to what lies between patches.
+
+    Medians over all borders with contrast; 1 where patches touch.
+    """
+    from scipy.ndimage import map_coordinates
+
+    across = np.linspace(-0.25, 0.25, 11)
+    colors = [picture[..., k] for k in range(3)]
+    crossings = []
+    top = float(np.percentile(picture, 99.5))
+    for center in grid:
+        for turn in range(4):
+            out = np.array([math.cos(turn * math.pi / 2), math.sin(turn * math.pi / 2)])
+            points = center + SIDE_STEPS[:, None, None] * out + across[None, :, None] * out[::-1]
+            pixels = model(points.reshape(-1, 2)).reshape(*points.shape)  # type: ignore[operator]
+            place = (pixels[..., ::-1] - (bin_px - 1) / 2) / bin_px
+            where = [place[..., 0], place[..., 1]]
+            ray = np.array([map_coordinates(color, where, order=1, mode="nearest").mean(axis=1) for color in colors])
+            inner, outer = ray[:, SIDE_STEPS < 0.25].mean(axis=1), ray[:, -1]
+            k = int(np.argmax(np.abs(inner - outer)))
+            if abs(inner[k] - outer[k]) < LEAST_CONTRAST * top:
+                continue
+            share = (ray[k] - outer[k]) / (inner[k] - outer[k])
+            beyond = np.flatnonzero(share < 0.5)
+            i = int(beyond[0])
+            crossings.append(
+                SIDE_STEPS[i] - (0.5 - share[i]) / max(share[i - 1] - share[i], 1e-9) * (SIDE_STEPS[1] - SIDE_STEPS[0])
+            )
+    return 2 * float(np.median(crossings)) if len(crossings) >= 8 else 0.8
+
+
+def register_edges(capture: Capture) -> tuple[tuple[EdgePose, ...], tuple[tuple[Box, str], ...]]:
+    """Every slanted edge with a fit of its own, the sharpest first in doubt; and the regions refused with their reasons."""
+    from isetval.measure import find_edges, sfr_batch
+
+    found = find_edges(capture)
+    refused = [(_as_box(r.roi), r.reason) for r in found.rejected]
+    chosen = sorted(found, key=lambda e: -e.length_px)[:MOST_EDGES]
+    poses = []
+    for edge, result in zip(chosen, sfr_batch(capture, [tuple(e) for e in chosen]) if chosen else [], strict=True):
+        if not result.accepted:
+            refused.append((_as_box(edge), ", ".join(result.flags)))
+            continue
+        vertical = result.orientation == "vertical"
+        angle = -result.angle_deg if vertical else result.angle_deg
+        slope = math.tan(math.radians(angle))
+        middle_row, middle_col = ((n - 1) / 2 for n in capture.mosaic.shape)
+        if vertical:
+            offset = (0.0, result.edge_col_px + slope * (middle_row - result.edge_row_px) - middle_col)
+        else:
+            offset = (result.edge_row_px + slope * (middle_col - result.edge_col_px) - middle_row, 0.0)
+        side = "low" if (result.normal_deg + 45) % 360 < 180 else "high"
+        poses.append(
+            EdgePose(
+                _as_box(edge), angle, result.orientation, side, offset, result.edge_sigma_px, result.dark_dn, result.bright_dn
+            )
+        )
+    return tuple(poses), tuple(refused)
+
+
+def _as_box(roi: tuple[int, ...]) -> Box:
+    row0, row1, col0, col1 = (int(v) for v in roi)
+    return (row0, row1, col0, col1)

@@ -1,0 +1,216 @@
+"""campaign init: a laboratory's folder becomes a campaign that runs, held against the truth of a foreign camera."""
+
+import hashlib
+import json
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.app.cli import main
+from isetval.core.paths import data_folder
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from foreign_camera.lab_folder import write_lab
+
+CAMERA = "isetval:pixel4a/camera.toml"
+SEED = 4
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """The folder, drafted, and the truth: two visits, 1 chart under 3 lights at 1 place, 79 files."""
+    folder = tmp_path_factory.mktemp("lab")
+    truth = write_lab(folder, data_folder() / "pixel4a", seed=SEED, places=1)
+    assert main(["campaign", "init", str(folder), "--camera", CAMERA, "-q"]) == 0
+    return folder, truth, isetval.load_campaign(folder)
+
+
+def test_every_file_is_a_frame_of_its_own_shot_role_and_visit(lab):
+    _, truth, campaign = lab
+    found = {(s.role, s.measurement_session, s.files) for s in campaign.shots}
+    assert found == {(t.place.role, t.session, t.files) for t in truth}
+
+
+def test_set_ups_are_folders_and_brackets_share_one(lab):
+    _, truth, campaign = lab
+    true_setup = {t.files: (t.session, t.folder) for t in truth}
+    pairs = {(shot.setup, true_setup[shot.files]) for shot in campaign.shots}
+    assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs})
+    series = next(s for s in campaign.shots if "series" in s.setup)
+    assert sum(s.setup == series.setup for s in campaign.shots) == 5
+
+
+def test_light_levels_are_right_to_one_percent(lab):
+    _, truth, campaign = lab
+    level = {t.files: t.level for t in truth}
+    flats = [s for s in campaign.shots if s.role == "flat"]
+    reference = np.mean([level[s.files] for s in flats if "A" in s.measurement_session and "series" in s.setup])
+    for shot in flats:
+        assert shot.light_level == pytest.approx(level[shot.files] / reference, rel=0.01)
+        assert shot.light == "sphere"
+
+
+def test_edges_are_registered(lab):
+    _, truth, campaign = lab
+    places = {t.files: t.place for t in truth}
+    edges = [s for s in campaign.shots if s.role == "edge"]
+    assert len(edges) == 8
+    for shot in edges:
+        place, target = places[shot.files], shot.target
+        assert (target.orientation, target.dark_side) == (place.target.orientation, "low")
+        assert target.angle_deg == pytest.approx(place.target.angle_deg + place.get("edge_angle_deg"), abs=0.1)
+        along = 1 if target.orientation == "vertical" else 0
+        offset = target.offset_px[along] * np.cos(np.radians(target.angle_deg))
+        assert offset == pytest.approx(place.get("edge_shift_px"), abs=0.3)
+        assert target.bright_reflectance.values[0] == pytest.approx(0.8, rel=0.08)  # two lights of 2 % each
+        assert shot.focus_um == place.focus_um
+        assert shot.distance_m == (0.2 if "20cm" in shot.setup else 0.35)
+
+
+def test_charts_are_registered(lab):
+    _, truth, campaign = lab
+    places = {t.files: t.place for t in truth}
+    charts = [s for s in campaign.shots if s.role == "chart"]
+    assert {s.light for s in charts} == {"lamp", "sky", "tube"}
+    for shot in charts:
+        true_boxes = np.array(list(places[shot.files].target.boxes.values()))
+        assert np.abs(np.array([p.box for p in shot.target.patches]) - true_boxes).max() <= 2
+
+
+def test_what_repeats_says_so_and_priors_come_from_the_files(lab):
+    folder, _, campaign = lab
+    named = {s.name: s for s in campaign.shots}
+    again = [s for s in campaign.shots if s.repeat_of]
+    assert len(again) == 2
+    assert all(s.setup.replace("half_repeat", "half") == named[s.repeat_of].setup for s in again)
+    per_frame = next(n for n in campaign.nuisances if n.parameter == "light_level" and n.scope == "frame")
+    frames = 33
+    assert per_frame.sigma == pytest.approx(0.001, rel=4 / np.sqrt(2 * frames))  # the lamp's flicker in the foreign camera
+    text = (folder / "campaign.toml").read_text()
+    assert "found: scatter of the means" in text
+    head = text.split("\nradiance = ")[0]
+    assert all(word in head for word in ("[light.sphere]", "[target.chart_*]", "Without it"))
+
+
+def test_it_is_measured_at_once_and_light_scale_is_that_of_the_model(lab):
+    campaign = lab[2]
+    table = isetval.measure_campaign(campaign)
+    assert table.notes == ()
+    assert {m.shot for m in table.metrics if m.shot} == {s.name for s in campaign.shots}
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    plan = campaign.only(s.name for s in campaign.shots if s.role == "flat" and "series" in s.setup)
+    mine = {m.key(): m.value for m in isetval.measure_campaign(plan, summaries=False).metrics if m.name == "mean"}
+    theirs = isetval.measure_campaign(isetval.simulate(model, plan, seed=1), summaries=False)
+    for m in theirs.metrics:
+        if m.name == "mean" and m.channel in ("Gr", "Gb"):
+            assert m.value == pytest.approx(mine[m.key()], rel=0.02, abs=0.2)
+
+
+def test_the_page_shows_every_group_and_what_was_found(lab):
+    folder, truth, _ = lab
+    page = (folder / "campaign.html").read_text()
+    assert page.count("<svg") == page.count("data:image/png;base64,") == len(truth)
+    assert page.count('class="found"') == 3 * 24 + 8
+    assert page.count('class="edge"') == 8
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_check_says_what_would_be_measured(lab, capsys, tmp_path):
+    folder, truth, _ = lab
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    broken = truth[0].files[1]
+    (copy / broken).write_bytes(b"II*\x00broken")
+    text = (copy / "campaign.toml").read_text()
+    box = text[text.index("box = [") :].split("\n")[0]
+    (copy / "campaign.toml").write_text(text.replace(box, box.replace(box.split(",")[1], " 900"), 1))
+    assert main(["campaign", "check", str(copy), "--json"]) == 0
+    out, err = capsys.readouterr()
+    result = json.loads(out)
+    assert len(result["shots"]) == len(truth)
+    assert sum(s["readable"] for s in result["shots"]) == sum(len(t.files) for t in truth) - 1
+    assert [s["file"] for s in result["skipped"]] == [broken]
+    assert any("1 of 24 regions lie outside" in doubt for s in result["shots"] for doubt in s["doubts"])
+    assert broken in err
+
+
+def _odd_folder(folder):
+    """Two cameras, a broken file among good ones, rendered pictures, no Exif."""
+    rng = np.random.default_rng(3)
+    for i in range(4):
+        path = folder / "dark" / f"d{i}.dng"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        isetval.write_dng(path, isetval.Capture.from_array(64 + rng.poisson(4.0, (64, 64)) - 4))  # no time, no ISO
+        (folder / f"IMG_{i}.JPG").write_bytes(b"\xff\xd8 a picture")
+    other = isetval.Capture.from_array(rng.integers(200, 900, (64, 64)), white_dn=4095, bits=12, time_s=0.01)
+    isetval.write_dng(folder / "other.dng", other)
+    (folder / "corrupt.dng").write_bytes(b"II*\x00")
+    isetval.write_dng(folder / "odd.dng", isetval.Capture.from_array(rng.integers(60, 70, (2, 8))))
+    return folder
+
+
+def test_odd_files_get_sentences_and_the_rest_goes_on(tmp_path, capsys):
+    folder = _odd_folder(tmp_path / "odd")
+    assert main(["campaign", "init", str(folder), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    reasons = dict(result["skipped"])
+    assert "campaign of its own" in reasons["other.dng"]
+    assert "corrupt.dng" in reasons
+    assert any("4 rendered pictures" in note for note in result["notes"])
+    assert any(what == "exposure_s" for what, *_ in result["unknown"])
+    campaign = isetval.load_campaign(folder)
+    dark = next(s for s in campaign.shots if s.files[0].startswith("dark/"))
+    assert (dark.role, dark.frames) == ("dark", 4)
+    assert main(["measure", str(folder), "-q"]) == 0
+
+
+@pytest.mark.parametrize("content", ["nothing", "jpg", "broken"])
+def test_a_folder_without_a_usable_file_is_refused(tmp_path, capsys, content):
+    folder = tmp_path / "f"
+    folder.mkdir()
+    if content == "jpg":
+        (folder / "a.jpg").write_bytes(b"\xff\xd8")
+    if content == "broken":
+        (folder / "a.dng").write_bytes(b"II*\x00")
+    assert main(["campaign", "init", str(folder)]) == 3
+    assert "Traceback" not in capsys.readouterr().err
+    assert not (folder / "campaign.toml").exists()
+
+
+def test_a_camera_of_another_sensor_is_refused(tmp_path, capsys):
+    rng = np.random.default_rng(5)
+    isetval.write_dng(tmp_path / "a.dng", isetval.Capture.from_array(rng.integers(64, 90, (64, 64)), white_dn=4095, bits=12))
+    assert main(["campaign", "init", str(tmp_path), "--camera", CAMERA]) == 3
+    assert "4095" in capsys.readouterr().err
+
+
+def test_illuminants_have_their_published_chromaticity():
+    """CIE 15: x, y of the 1931 observer, here by its multi-lobe fit (Wyman, Sloan and Shirley 2013, to about .002)."""
+    from isetval.core.spectrum import read_spectra
+
+    folder = data_folder() / "spectra"
+    spectra = read_spectra(folder / "illuminants.csv")
+    nm = spectra["A"].wavelength_nm
+
+    def lobe(height, center, below, above):
+        return height * np.exp(-0.5 * ((nm - center) / np.where(nm < center, below, above)) ** 2)
+
+    x = lobe(1.056, 599.8, 37.9, 31.0) + lobe(0.362, 442.0, 16.0, 26.7) - lobe(0.065, 501.1, 20.4, 26.2)
+    y = lobe(0.821, 568.8, 46.9, 40.5) + lobe(0.286, 530.9, 16.3, 31.1)
+    z = lobe(1.217, 437.0, 11.8, 36.0) + lobe(0.681, 459.0, 26.0, 13.8)
+    published = {
+        "A": (0.4476, 0.4074),
+        "D50": (0.3457, 0.3585),
+        "D65": (0.3127, 0.3290),
+        "F2": (0.3721, 0.3751),
+        "F7": (0.3129, 0.3292),
+    }
+    for name, stated in published.items():
+        total = np.array([x @ spectra[name].values, y @ spectra[name].values, z @ spectra[name].values])
+        np.testing.assert_allclose(total[:2] / total.sum(), stated, atol=0.002)
+    entry = tomllib.loads((folder / "manifest.toml").read_text())["file"][0]
+    assert hashlib.sha256((folder / "illuminants.csv").read_bytes()).hexdigest() == entry["sha256"]
