@@ -114,11 +114,10 @@ def _camera(camera: str, folder: Path) -> tuple[CameraModel | None, str]:
 
 
 def _sensor(facts: Sequence[FileFacts], model: CameraModel | None, camera: str) -> Sensor:
-    """The full sensor: that of the model, else the largest that a file states, with the usual black level."""
+    """The full sensor: that of the model, else the largest that a file states, with the black level that it is read with."""
     largest = max(facts, key=lambda f: f.sensor.rows * f.sensor.cols).sensor
     if model is None:
-        (a, b), (c, d) = np.median([np.array(f.sensor.black_dn) for f in facts], axis=0).tolist()
-        return replace(largest, black_dn=((a, b), (c, d)))
+        return largest
     mine = model.sensor
     if mine.rows < largest.rows or mine.cols < largest.cols or mine.white_dn != largest.white_dn:
         raise InputError(

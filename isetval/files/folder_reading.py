@@ -14,7 +14,7 @@ from isetval.files.loose_files import files_below
 
 Progress = Callable[[str, int, int], None]
 TURNS_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: 270.0}  # Exif orientation, how the camera was turned
-PICTURES = (".jpg", ".jpeg", ".heic", ".mp4")  # rendered by the camera: levels and noise are no longer the sensor's
+PICTURES = (".jpg", ".jpeg", ".heic", ".mp4", ".tif", ".tiff", ".png", ".npy")  # whose levels nobody stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +36,14 @@ def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFact
     InputError
         If there is no folder, no raw file in it, or none that can be read.
     """
-    from isetval.files.dng import read_dng
+    from isetval.files.capture_file import read_capture
 
     if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; name the folder that holds the DNG files")
+        raise InputError(f"{folder}: is no folder; name the folder that holds the raw files")
     files = [path.relative_to(folder).as_posix() for path in files_below(folder)]
     if not files:
-        raise InputError(f"{folder}: holds no DNG file at any level; name the folder that holds them")
-    captures = FileCaptures({"": files}, lambda _, file: read_dng(folder / file), folder=folder)
+        raise InputError(f"{folder}: holds no DNG file at any level, nor a picture with a sidecar of levels; name their folder")
+    captures = FileCaptures({"": files}, lambda _, file: read_capture(folder / file), folder=folder)
     facts = []
     for i, file in enumerate(files):
         capture = captures.look_ahead("", file)
@@ -57,11 +57,14 @@ def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFact
             progress(f"reading {file}", i + 1, len(files))
     if not facts:
         file, reason = captures.skipped[0]
-        raise InputError(f"{folder}: none of its {len(files)} DNG files can be read; the first: {file}: {reason}")
+        raise InputError(f"{folder}: none of its {len(files)} raw files can be read; the first: {file}: {reason}")
     mine, others = _one_camera(facts)
-    rest = [path for path in folder.rglob("*") if path.is_file() and path.suffix.lower() in PICTURES]
+    read = {folder / file for file in files}
+    rest = [path for path in folder.rglob("*") if path.is_file() and path.suffix.lower() in PICTURES and path not in read]
     notes = (
-        [f"{len(rest)} rendered pictures or films ({rest[0].name} ...) are no raw data and were not looked at"] if rest else []
+        [f"{len(rest)} pictures without a sidecar of levels ({rest[0].name} ...) are no raw data and were not looked at"]
+        if rest
+        else []
     )
     return FolderFacts(folder, tuple(mine), captures, (*captures.skipped, *others), tuple(notes))
 

@@ -23,7 +23,6 @@ from isetval.measure.shot_summaries import plane_levels
 Reader = Callable[[Path], Capture]
 Progress = Callable[[str, int, int], None]
 DESCRIBED = 64  # files of a series that are described pixel by pixel; of longer ones only what the tags say
-RAW_SUFFIXES = (".dng",)
 SERIES_ROLES = ("dark", "flat")
 
 
@@ -61,19 +60,21 @@ class FileMeasurement:
 
 
 def raw_files(paths: Iterable[Path]) -> list[Path]:
-    """The DNG files among files and folders, folders searched at all levels, in order of name.
+    """The files to measure among files and folders, folders searched at all levels, in order of name.
 
     Raises
     ------
     InputError
-        For a path that does not exist, or a folder that holds no DNG at all.
+        For a path that does not exist, or a folder that holds no raw file at all.
     """
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
             inside = files_below(path)
             if not inside:
-                raise InputError(f"{path}: holds no DNG file at any level; name the folder that holds them, or the files")
+                raise InputError(
+                    f"{path}: holds no DNG file at any level, nor a picture with a sidecar; name files or their folder"
+                )
             found += inside
         elif path.exists():
             found.append(path)
@@ -83,13 +84,23 @@ def raw_files(paths: Iterable[Path]) -> list[Path]:
 
 
 def files_below(folder: Path) -> list[Path]:
-    """The DNG files of a folder and of all folders in it, by name; hidden files and folders are left alone."""
+    """The raw files of a folder and of all folders in it, by name; hidden files and folders are left alone.
+
+    TIFF, PNG and NumPy files are raw data only where a sidecar states their levels: others are anybody's pictures.
+    """
+    from isetval.files.capture_file import CAPTURE_SUFFIXES
+    from isetval.files.image_file import SUFFIXES
+    from isetval.files.sidecar import find_sidecar
+
+    def usable(path: Path) -> bool:
+        suffix = path.suffix.lower()
+        return suffix in CAPTURE_SUFFIXES and path.is_file() and (suffix not in SUFFIXES or find_sidecar(path) is not None)
+
+    hidden = (".", "__MACOSX")
     return sorted(
         path
         for path in folder.rglob("*")
-        if path.suffix.lower() in RAW_SUFFIXES
-        and path.is_file()
-        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if usable(path) and not any(part.startswith(hidden) for part in path.relative_to(folder).parts)
     )
 
 
@@ -285,17 +296,15 @@ def series_shots(facts: Sequence[FileFacts], asked: Asked) -> tuple[Shot, ...]:
 
 
 def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None) -> Reader:
-    """How files are read: DNG by their tags, headerless raw by what the person says."""
-    from isetval.files.dng import read_dng, read_raw
+    """How files are read: DNG by their tags, pictures by their sidecars, headerless raw by what the person says."""
+    from isetval.files.capture_file import read_capture
+    from isetval.files.headerless_file import read_raw
 
     def read(path: Path) -> Capture:
-        capture: Capture
-        if raw is not None and path.suffix.lower() not in RAW_SUFFIXES:
-            capture = read_raw(path, **raw)
-            return capture
+        if raw is not None and path.suffix.lower() != ".dng":
+            return read_raw(path, **raw)
         if path.is_dir():
             raise InputError(f"{path}: is a folder; name files")
-        capture = read_dng(os.fspath(path), black=black)
-        return capture
+        return read_capture(path, black=black)  # type: ignore[arg-type]
 
     return read

@@ -160,7 +160,7 @@ def test_odd_files_get_sentences_and_the_rest_goes_on(tmp_path, capsys):
     reasons = dict(result["skipped"])
     assert "campaign of its own" in reasons["other.dng"]
     assert "corrupt.dng" in reasons
-    assert any("4 rendered pictures" in note for note in result["notes"])
+    assert any("4 pictures without a sidecar" in note for note in result["notes"])
     assert any(what == "exposure_s" for what, *_ in result["unknown"])
     campaign = isetval.load_campaign(folder)
     dark = next(s for s in campaign.shots if s.files[0].startswith("dark/"))

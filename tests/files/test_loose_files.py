@@ -321,3 +321,25 @@ def test_measure_in_the_shell_keeps_its_keys(capsys, tmp_path):
     assert {"kind", "metrics", "files", "skipped", "notes", "settings", "provenance"} <= result.keys()
     assert {"role", "black", "raw"} <= result["settings"].keys()
     assert sys.modules["isetval"] is isetval
+
+
+def test_a_tiff_with_its_levels_beside_it_is_measured_like_the_dng_of_the_same_pixels(capsys, tmp_path, edge_capture):
+    import tifffile
+
+    (tmp_path / "a").mkdir()
+    isetval.write_dng(tmp_path / "a" / "edge.dng", edge_capture)
+    (tmp_path / "b").mkdir()
+    tifffile.imwrite(tmp_path / "b" / "edge.tif", edge_capture.mosaic)
+    levels = 'cfa = "RGGB"\nblack_dn = 64\nwhite_dn = 1023\npixel_um = 1.4\nexposure_s = 0.0366\n'
+    (tmp_path / "b" / "images.toml").write_text(levels)
+    tifffile.imwrite(tmp_path / "edge.tif", edge_capture.mosaic)  # of which nothing is stated
+    words = ("--role", "edge", "--roi", "20,100,25,100", "--channel", "G", "--method", "iso12233:2017")
+    rows = []
+    for path in (tmp_path / "a" / "edge.dng", tmp_path / "b" / "edge.tif", tmp_path / "b"):
+        code, result, _ = command(capsys, "measure", path, *words)
+        assert code == 0
+        rows.append([(r["name"], r["value"], r["sigma"]) for r in result["metrics"]])
+    assert rows[0] == rows[1] == rows[2]
+    code, _, err = command(capsys, "measure", tmp_path / "edge.tif", *words)
+    assert code == 3
+    assert "white_dn" in err
