@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
 from isetval.measure.edge.alternating_fit import FittedEdges, esf_tables
 from isetval.measure.edge.geometry import Stack
@@ -48,8 +49,6 @@ def cut_tails(fitted: FittedEdges) -> NDArray[np.intp]:
 
 def restored(fitted: FittedEdges) -> Stack:
     """The stack with each clipped sample replaced by what it is expected to have been."""
-    from scipy.special import ndtr
-
     stack = fitted.stack
     expected = _expected(fitted)
     values = np.stack([samples.values for samples in stack.members])
@@ -83,8 +82,6 @@ def lost_information(share: float) -> float:
 
     The share times the variance of a unit normal beyond the cut, 1 + t m - m^2 with m its mean there.
     """
-    from scipy.special import ndtri
-
     if not 0 < share <= MAX_CLIPPED:
         return 0.0  # nothing was restored
     t = -float(ndtri(share))

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import j1, ndtri
 
 from isetval.measure.edge import spline_bins
 
@@ -128,6 +129,7 @@ def _draw() -> dict[str, Float]:
 
 
 def _halton(n: int, base: int) -> Float:
+    # as scipy.stats.qmc.Halton, whose import takes .4 s, more than a hundred edges do
     out = np.zeros(n)
     for i in range(n):
         f, k = 1.0, i + 1
@@ -139,14 +141,10 @@ def _halton(n: int, base: int) -> Float:
 
 
 def _halton_normal(n: int, base: int) -> Float:
-    from scipy.special import ndtri
-
     return np.asarray(ndtri(_halton(n, base)))
 
 
 def _ensemble_mtf(f: Float) -> Float:
-    from scipy.special import j1
-
     p = _draw()
     column = {name: value[:, None] for name, value in p.items()}
     out = np.exp(-2 * (np.pi * column["sigma"] * f) ** 2)

@@ -142,19 +142,22 @@ def fit_along(
     matrix += (1e-9 * trace + 1e-300)[:, None, None] * np.eye(3)
     step = np.linalg.solve(matrix, design @ rest[:, :, None])
     rest -= (step.swapaxes(1, 2) @ design)[:, 0]
-    rest *= rest
     bright = weight * (place_across > 0)
-    count, both = bright.sum(axis=1), weight.sum(axis=1)
-    high = np.einsum("ij,ij->i", rest, bright)
-    low = rest.sum(axis=1) - high
-    noise = SideNoise(
-        np.where(enough, low / np.maximum(both - count, 1), 1.0), np.where(enough, high / np.maximum(count, 1), 1.0)
-    )
+    noise = _side_noise(rest, weight, bright, enough)
     out = illumination.copy()
     out[enough, :3] = clip(illumination[:, :3] + step[:, :, 0], -LIMITS, LIMITS)[enough]
     raw = np.stack([place_along, place_along**2, place_along * place_across], axis=1)
     covariance = _level_covariance(raw, design, np.linalg.inv(matrix), bright, weight - bright, noise)
     return AlongFit(out, noise, np.where(enough[:, None, None], covariance, 0.0))
+
+
+def _side_noise(rest: Float, weight: Float, bright: Float, enough: NDArray[np.bool_]) -> SideNoise:
+    """Mean squares of the residuals on both sides; 1 where there are too few samples."""
+    square = rest * rest
+    count, both = bright.sum(axis=1), weight.sum(axis=1)
+    high = np.einsum("ij,ij->i", square, bright)
+    low = square.sum(axis=1) - high
+    return SideNoise(np.where(enough, low / np.maximum(both - count, 1), 1.0), np.where(enough, high / np.maximum(count, 1), 1.0))
 
 
 def _level_covariance(raw: Float, design: Float, inverse: Float, bright: Float, dark: Float, noise: SideNoise) -> Float:

@@ -10,7 +10,7 @@ straight line, Hamming, no derivative correction, frequency along the pixel axis
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -199,8 +199,6 @@ def _without(samples: Samples, group: int) -> Samples:
 def _report(
     capture: Capture, roi: Roi, channel: str, method: str, *, samples: Samples, sign: float, procedure: Procedure
 ) -> SfrResult:
-    from dataclasses import replace
-
     grid = spectrum.default_frequency()
     pixel_um = capture.sensor.pixel_um
     curve, found = _numbers(samples, procedure, sign, grid=grid, pixel_um=pixel_um)
