@@ -33,20 +33,31 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     Raises
     ------
     MeasurementError
-        If the target has neither patches nor lines.
+        If the target has neither patches nor lines, or all of them are clipped.
     """
     conditions = shot_conditions(shot, captures[0].sensor)
     found = _patch_rows(shot, captures, conditions)
     for line in getattr(shot.target, "lines", ()):
         found += _line_rows(line, shot, captures, conditions)
     if not found:
-        raise MeasurementError("its target has no patch and no line to measure; add them to the [target] table")
+        raise MeasurementError(_reason(shot))
     shared = {}
     for i, (_, pattern, fixed_dn) in enumerate(found):
         if fixed_dn > 0:
             shared[pattern] = np.zeros(len(found))
             shared[pattern][i] = fixed_dn
     return Block(tuple(row for row, _, _ in found), shared=shared, differences=Differences(one_frame=True))
+
+
+def _reason(shot: Shot) -> str:
+    """Why nothing was measured: nothing to measure, or nothing between the ends of the range."""
+    patches, lines = len(getattr(shot.target, "patches", ())), len(getattr(shot.target, "lines", ()))
+    if not patches + lines:
+        return "its target has no patch and no line to measure; add them to the [target] table"
+    return (
+        f"all its {patches} patches and {lines} lines are clipped at code 0 or at white in every plane; "
+        "expose between them, or correct black_dn and white_dn"
+    )
 
 
 def _patch_rows(shot: Shot, captures: Sequence[Capture], conditions: dict[str, Any]) -> list[Found]:
