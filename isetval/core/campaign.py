@@ -121,6 +121,7 @@ class Shot:
     ``distance_m`` the distance of the target; with the exposure's ``focus_m`` defocus follows from both.  ``repeat_of``
     names the shot that this one repeats with a newly made set-up.  ``method`` and ``channel`` ask an estimator for
     another method than its own, or for one channel only: a simulation of the shot is then measured by the same.
+    ``photons_per_pixel`` is what a calibrated light is stated to send to a pixel in one exposure (EMVA 1288).
     """
 
     name: str
@@ -140,6 +141,7 @@ class Shot:
     files: tuple[str, ...] = ()
     method: str = ""
     channel: str = ""
+    photons_per_pixel: float | None = None
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:
@@ -150,6 +152,8 @@ class Shot:
             raise InputError(f"shot {self.name}: light_level is {self.light_level}; it needs 0 or more")
         if self.role in ("edge", "chart", "scene") and self.target is None:
             raise InputError(f"shot {self.name}: a shot of role {self.role} needs a target; name one of the [target] tables")
+        if self.photons_per_pixel is not None and not self.photons_per_pixel >= 0:
+            raise InputError(f"shot {self.name}: photons_per_pixel is {self.photons_per_pixel}; it needs 0 or more")
         if not self.setup:
             object.__setattr__(self, "setup", self.name)
         if self.window is not None and not isinstance(self.window, Window):

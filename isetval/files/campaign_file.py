@@ -20,18 +20,20 @@ from isetval.core.sensor import Exposure, Sensor
 from isetval.core.spectrum import Spectrum, read_spectra
 from isetval.core.toml import check_keys, number, numbers, read_toml, text, texts
 from isetval.files.captures import FileCaptures
+from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
 from isetval.files.target_file import read_target
 
 _KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "notes")
 _SHOT_KEYS = (
     "name", "role", "measurement_session", "setup", "light", "light_level", "exposure_s", "iso", "rotation_deg", "window",
-    "size", "frames", "files", "target", "focus_um", "focus_m", "distance_m", "repeat_of", "method", "channel", "notes",
+    "size", "frames", "files", "target", "focus_um", "focus_m", "distance_m", "repeat_of", "method", "channel",
+    "photons_per_pixel", "notes",
 )  # fmt: skip
 _NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "notes")
 
 
 def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Campaign:
-    """Read a campaign or a plan: a folder with ``campaign.toml``, or the file itself.
+    """Read a campaign or a plan: a folder with ``campaign.toml`` or an EMVA 1288 descriptor, or one of these files itself.
 
     The DNG files are opened when their shot is measured; that they exist is checked here.
 
@@ -48,6 +50,10 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
         make no sense.
     """
     path = Path(path)
+    if not (path / "campaign.toml").is_file():
+        descriptor = find_emva_descriptor(path)
+        if descriptor is not None:
+            return load_emva_descriptor(descriptor, **({} if camera is None else {"pixel_um": camera.sensor.pixel_um}))
     if path.is_dir():
         path = path / "campaign.toml"
         if not path.is_file():
@@ -235,6 +241,7 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
             files=files,
             method=text(entry, "method", where),
             channel=text(entry, "channel", where),
+            photons_per_pixel=_optional(entry, "photons_per_pixel", where),
         )
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None

@@ -106,6 +106,7 @@ def shot_table(shot: Shot, target: str, files: tuple[str, ...]) -> dict[str, Any
         "repeat_of": shot.repeat_of,
         "method": shot.method or None,
         "channel": shot.channel or None,
+        "photons_per_pixel": shot.photons_per_pixel,
         "frames": len(files) or shot.frames,
         "files": list(files) or None,
     }

@@ -181,6 +181,7 @@ def input_hashes(campaign: Campaign) -> dict[str, str]:
     """SHA-256 of the campaign's own file, and of the bytes of all captures that were decoded so far."""
     from isetval.core.hashing import file_hash
 
-    file = None if campaign.folder is None else campaign.folder / "campaign.toml"
+    name = campaign.provenance.get("descriptor", "campaign.toml")
+    file = None if campaign.folder is None else campaign.folder / str(name)
     own = {str(file): file_hash(file)} if file is not None and file.is_file() else {}
     return own | dict(campaign.captures.hashes)

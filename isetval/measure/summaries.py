@@ -77,16 +77,21 @@ def _transfer_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[
     methods = {shot.method for shot in shots if shot.role == "flat" and shot.method} or {"default"}
     if len(methods) > 1:
         raise InputError(f"its flats ask for {' and '.join(sorted(methods))}; one photon transfer needs one method")
-    return _rows(photon_transfer(flats, dark=darks or None, method=methods.pop()), session, "flat")
+    photons = [s.photons_per_pixel for s in _of_one_window(frames, shots, "flat") for _ in frames[s.name]]
+    stated = None if None in photons else photons
+    return _rows(photon_transfer(flats, dark=darks or None, method=methods.pop(), photons_per_pixel=stated), session, "flat")
 
 
 def _same_window(frames: Frames, shots: Sequence[Shot], role: str) -> Sequence[Capture]:
     """Frames of the role's most used window, in memory or one after another as they are looked at."""
+    return Chain([frames[s.name] for s in _of_one_window(frames, shots, role)])
+
+
+def _of_one_window(frames: Frames, shots: Sequence[Shot], role: str) -> list[Shot]:
+    """The role's shots that share its most used window."""
     own = [s for s in shots if s.role == role and s.name in frames]
-    if not own:
-        return ()
-    window = Counter(s.window for s in own).most_common(1)[0][0]
-    return Chain([frames[s.name] for s in own if s.window == window])
+    windows = Counter(s.window for s in own).most_common(1)
+    return [s for s in own if s.window == windows[0][0]]
 
 
 class Chain(Sequence[Capture]):

@@ -27,7 +27,13 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         description="Measure DNG files, folders or a campaign. Without --role, each file is searched for a 24-patch chart, then "
         "for slanted edges. Files that cannot be read are listed with the reason; the others are measured.",
     )
-    p.add_argument("paths", nargs="+", metavar="PATH", type=Path, help="DNG files, folders, or a folder with campaign.toml")
+    p.add_argument(
+        "paths",
+        nargs="+",
+        metavar="PATH",
+        type=Path,
+        help="DNG files, folders, or a campaign: a folder with campaign.toml or an EMVA 1288 descriptor",
+    )
     p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "scene"), help="what the files show")
     p.add_argument("--method", default="", help="another method than the estimators' own: iso12233:2017, iso12233:2023, lyu2022")
     p.add_argument("--channel", default="", help="one channel of edges and scenes: R, Gr, Gb, B or G (both greens)")
@@ -91,7 +97,10 @@ def measure(args: argparse.Namespace, console: Console) -> Outcome:
 
 
 def _is_campaign(path: Path) -> bool:
-    return (path.is_dir() and (path / "campaign.toml").is_file()) or path.suffix.lower() == ".toml"
+    from isetval.files.emva_descriptor import find_emva_descriptor
+
+    own = (path / "campaign.toml").is_file() or path.suffix.lower() == ".toml"
+    return own or find_emva_descriptor(path) is not None
 
 
 def _raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:

@@ -1,0 +1,194 @@
+"""EMVA 1288 descriptor files as campaigns: backslashes and all, photon numbers kept, nothing opened outside the folder."""
+
+from pathlib import Path
+
+import imageio.v3
+import numpy as np
+import pytest
+
+import isetval
+from isetval import Exposure, InputError
+from isetval.camera.chain import ShotSetup, mean_electrons
+from isetval.camera.model import CameraModel
+from isetval.effects.color import QuantumEfficiency
+from isetval.effects.converter import ConversionGain
+from isetval.effects.optics_blur import Aperture
+from isetval.files.campaign_writer import write_campaign
+from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "emva1288_set001"
+GAIN, QE, BLACK_DN, READ_DN = 0.25, 0.5, 20.0, 2.0
+TIMES_NS = (40_000, 300_000, 600_000, 900_000, 1_200_000, 1_500_000, 1_800_000, 2_100_000)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Eight exposure times of two frames, bright and dark, and two stacks, as the working group lays them out."""
+    folder = tmp_path_factory.mktemp("lab") / "set"
+    (folder / "images").mkdir(parents=True)
+    rng = np.random.default_rng(12)
+    lines = ["# a remark", "v 3.0", "n 12 96 80"]
+
+    def series(letter, time_ns, photons, frames, name):
+        lines.append(f"{letter} {time_ns:.1f}" + (f" {photons:.1f}" if letter == "b" else ""))
+        for i in range(frames):
+            mean_e = QE * photons if letter == "b" else 0.0
+            dn = BLACK_DN + GAIN * rng.poisson(mean_e, (80, 96)) + READ_DN * rng.standard_normal((80, 96))
+            file = f"{name}_{i}.png"
+            imageio.v3.imwrite(folder / "images" / file, np.clip(np.round(dn), 0, 4095).astype(np.uint16))
+            lines.append(f"i images\\{file}")
+
+    for k, time_ns in enumerate(TIMES_NS):
+        series("b", time_ns, 0.01 * time_ns, 2, f"b_{k}")
+    series("b", TIMES_NS[4], 0.01 * TIMES_NS[4], 9, "b_s")
+    for k, time_ns in enumerate(TIMES_NS):
+        series("d", time_ns, 0, 2, f"d_{k}")
+    series("d", TIMES_NS[4], 0, 9, "d_s")
+    (folder / "EMVA1288_Data.txt").write_bytes("\r\n".join(lines).encode() + b"\r\n")
+    return folder
+
+
+def test_series_become_shots(lab):
+    campaign = isetval.load_campaign(lab)
+    assert campaign.name == "set"
+    assert [shot.name for shot in campaign.shots[7:10]] == ["flat_007", "flat_stack_000", "dark_000"]
+    assert [len([s for s in campaign.shots if s.role == role]) for role in ("flat", "dark")] == [9, 9]
+    assert [shot.photons_per_pixel for shot in campaign.shots[:8]] == pytest.approx([0.01 * t for t in TIMES_NS])
+    assert [shot.exposure.time_s for shot in campaign.shots[:8]] == pytest.approx([t * 1e-9 for t in TIMES_NS])
+    assert {shot.measurement_session for shot in campaign.shots if "stack" in shot.name} == {"B"}
+    sensor = campaign.sensor
+    assert (sensor.rows, sensor.cols, sensor.cfa, sensor.bits, sensor.white_dn) == (80, 96, "MONO", 12, 4095)
+    # two frames of the shortest dark; 5 standard errors of the mean of 2 x 80 x 96 pixels
+    assert sensor.black_dn[0][0] == pytest.approx(BLACK_DN, abs=5 * np.sqrt((READ_DN**2 + 1 / 12) / (2 * 80 * 96)))
+    assert "mean of 2 dark frames of the shortest exposure (dark_000)" in campaign.notes[0]
+    (first, second) = campaign.captures["flat_002"]
+    np.testing.assert_array_equal(first.mosaic, imageio.v3.imread(lab / "images" / "b_2_0.png"))
+    assert (second.exposure, second.sensor) == (Exposure(6e-4), sensor)
+
+
+def test_planted_gain_and_quantum_efficiency_come_back(lab):
+    """The measuring side takes the stated photon numbers; 5 sigma of its own error bars."""
+    table = isetval.measure_campaign(isetval.load_campaign(lab))
+    found = {m.name: m for m in table.metrics if m.summary and m.measurement_session == "A"}
+    for name, truth in (("gain_dn_per_e", GAIN), ("quantum_efficiency", 100 * QE)):
+        assert abs(found[name].value - truth) < 5 * found[name].sigma
+        assert found[name].sigma < 0.05 * truth
+
+
+def test_the_light_gives_the_stated_photons(lab, tmp_path):
+    """Aperture f/8 and a quantum efficiency of one half: half the stated photons become electrons."""
+    (tmp_path / "qe.csv").write_text("wavelength_nm,qe\n400,0.5\n700,0.5\n")
+    for pixel_um in (1.0, 5.5):
+        campaign = load_emva_descriptor(lab / "EMVA1288_Data.txt", pixel_um=pixel_um)
+        effects = (Aperture(f_number=8.0), QuantumEfficiency(file=str(tmp_path / "qe.csv")), ConversionGain())
+        model = CameraModel("linear", campaign.sensor, effects)
+        for shot in campaign.shots[:9:4]:
+            electrons = mean_electrons(model, ShotSetup(shot, campaign.lights[shot.light]))
+            # bands of 5 nm sum the narrow light exactly; the centroid is 550 nm
+            assert float(electrons.mean()) == pytest.approx(0.5 * shot.photons_per_pixel, rel=1e-9)
+
+
+def test_written_as_a_campaign_folder_it_stays_the_same(lab, tmp_path):
+    campaign = isetval.load_campaign(lab)
+    back = isetval.load_campaign(write_campaign(campaign, tmp_path / "out"))
+    assert [s.photons_per_pixel for s in back.shots] == [s.photons_per_pixel for s in campaign.shots]
+    one, two = (isetval.measure_campaign(c.only([f"flat_{i:03d}" for i in range(4)])) for c in (campaign, back))
+    assert [(m.name, m.value, m.sigma) for m in one.metrics] == [(m.name, m.value, m.sigma) for m in two.metrics]
+
+
+def test_found_by_content_and_name(lab, tmp_path):
+    assert find_emva_descriptor(lab) == lab / "EMVA1288_Data.txt"
+    assert find_emva_descriptor(lab / "EMVA1288_Data.txt") == lab / "EMVA1288_Data.txt"
+    (tmp_path / "notes.txt").write_text("v is for victory\nn is for no\n")
+    assert find_emva_descriptor(tmp_path) is None
+    (tmp_path / "other.txt").write_bytes((lab / "EMVA1288_Data.txt").read_bytes())
+    assert find_emva_descriptor(tmp_path) == tmp_path / "other.txt"
+    assert isetval.load_campaign(lab / "EMVA1288_Data.txt").name == "set"
+
+
+HEAD = "v 3.0\nn 12 4 3\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (HEAD + "d 40000\ni ../secret.png\n", "leads out of the folder"),
+        (HEAD + "d 40000\ni ..\\..\\secret.png\n", "leads out of the folder"),
+        (HEAD + "d 40000\ni /etc/passwd\n", "leads out of the folder"),
+        (HEAD + "i a.png\n", "line 3: a frame before the first series"),
+        (HEAD + "x 1\n", "line 3: 'x 1' is no line"),
+        (HEAD + "b 40000\n", "line 3: 'b 40000' is no line"),
+        (HEAD + "b forty 3\n", "'forty'; it needs a number"),
+        (HEAD + "d -1\n", "'-1'; it needs a number"),
+        (HEAD + "d nan\n", "'nan'"),
+        ("v 3.0\nn 17 4 3\n", "17 bits"),
+        ("v 3.0\nn 12 4.5 3\n", "whole number"),
+        ("v 3.0\nn 12 0 3\n", "a size"),
+        ("v 3.0\n", "has no line 'n bits columns rows'"),
+        (HEAD, "no bright and no dark series"),
+        (HEAD + "d 40000\n", "1 series without a frame"),
+        (HEAD + "b 40000 5\ni a.png\n", "needs a dark series for the black level, and it lists none"),
+        (HEAD + "d 40000\ni a.png\n", "none can be read; the first"),
+    ],
+)
+def test_bad_descriptors(tmp_path, text, words):
+    (tmp_path / "EMVA1288_Data.txt").write_text(text)
+    with pytest.raises(InputError) as caught:
+        isetval.load_campaign(tmp_path)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_frame_that_is_gone_loses_only_itself(lab, tmp_path):
+    folder = tmp_path / "set"
+    (folder / "images").mkdir(parents=True)
+    (folder / "EMVA1288_Data.txt").write_bytes((lab / "EMVA1288_Data.txt").read_bytes())
+    for file in (lab / "images").iterdir():
+        (folder / "images" / file.name).write_bytes(file.read_bytes())
+    (folder / "images" / "b_2_1.png").unlink()
+    imageio.v3.imwrite(folder / "images" / "b_3_0.png", np.zeros((80, 90), np.uint16))
+    campaign = isetval.load_campaign(folder)
+    assert [len(campaign.captures[f"flat_00{i}"]) for i in (1, 2, 3)] == [2, 1, 1]
+    reasons = dict(campaign.captures.skipped)
+    assert "no such file" in reasons["images/b_2_1.png"]
+    assert "80 x 90 pixels, the descriptor says 80 x 96" in reasons["images/b_3_0.png"]
+
+
+def test_first_exposure_zero(tmp_path):
+    """Sets whose first exposure is 0: the time is unknown to a capture, the photon number stands."""
+    (tmp_path / "EMVA1288_Data.txt").write_text("v 3.0\nn 8 4 3\nb 0 0\ni a.png\nd 0\ni b.png\n")
+    for i, name in enumerate("ab"):
+        imageio.v3.imwrite(tmp_path / f"{name}.png", np.arange(12, dtype=np.uint8).reshape(3, 4) + i)
+    bright, dark = isetval.load_campaign(tmp_path).shots
+    assert (bright.photons_per_pixel, bright.exposure.time_s, dark.exposure.time_s) == (0, None, None)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="../shared/data/real/emva1288_set001 is not beside this checkout")
+def test_the_real_set():
+    """README: 50 bright and 50 dark exposures of two frames from 40 us, two stacks of 50 at 5.16 ms; 12 bits, 640 x 480.
+
+    K .28006 DN/e- and QE 45.2 % of the reference implementation say .1266 DN a photon: so does a plain quotient of means.
+    """
+    campaign = isetval.load_campaign(REAL)
+    frames = [shot.frames for shot in campaign.shots]
+    assert (sorted(set(frames)), len(frames), sum(frames)) == ([2, 50], 102, 300)
+    assert (campaign.sensor.rows, campaign.sensor.cols, campaign.sensor.bits) == (480, 640, 12)
+    assert campaign.shots[0].exposure.time_s == pytest.approx(40e-6)
+    assert campaign.shots[0].photons_per_pixel == 120
+    levels = [shot.light_level for shot in campaign.shots if shot.role == "flat"]
+    assert np.ptp(levels) < 0.005
+    middle = campaign.shots[17]
+    mean_dn = np.mean([c.mosaic for c in campaign.captures[middle.name]]) - campaign.sensor.black_dn[0][0]
+    assert mean_dn / middle.photons_per_pixel == pytest.approx(0.28006 * 0.452, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="../shared/data/real/emva1288_set001 is not beside this checkout")
+def test_the_real_set_is_measured():
+    """README: gains of .280 to .315 DN/e- by method, dark noise 10.92 e-, PRNU of pixels .265 %."""
+    table = isetval.measure_campaign(isetval.load_campaign(REAL))
+    found = {(m.name, m.measurement_session): m.value for m in table.metrics if m.summary}
+    assert 0.28 < found["gain_dn_per_e", "A"] < 0.315
+    assert found["quantum_efficiency", "A"] * found["gain_dn_per_e", "A"] == pytest.approx(45.2 * 0.28006, rel=0.02)
+    assert found["read_noise_e", "A"] == pytest.approx(10.92, rel=0.05)
+    assert found["prnu", "A"] == pytest.approx(0.265, rel=0.1)
