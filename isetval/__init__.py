@@ -24,6 +24,7 @@ _NAMES = {
     "measure": "isetval.measure",
     "measure_campaign": "isetval.measure.campaign",
     "read_capture": "isetval.files.capture_file",
+    "plots": "isetval.app",
     "read_dng": "isetval.files.dng",
     "read_image": "isetval.files.image_file",
     "simulate": "isetval.camera.shooting",

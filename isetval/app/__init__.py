@@ -1,1 +1,6 @@
 """What people start: the command line, reports, plots, the demo, challenges."""
+
+from isetval.core.lazy import lazy_names
+
+_NAMES = {"plots": "isetval.app.plots"}
+__getattr__, __dir__ = lazy_names(__name__, _NAMES)

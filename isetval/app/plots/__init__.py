@@ -1,1 +1,25 @@
-"""Plots: the only home of matplotlib."""
+"""Plots: the only home of matplotlib.
+
+``plot_x(result, ax=None)`` draws one panel into given axes, or into a figure of its own, and returns the axes;
+``isetval.plots.plot_sfr(isetval.measure.sfr(capture)).figure.savefig("sfr.png")``.
+"""
+
+from isetval.core.lazy import lazy_names
+
+_NAMES = {
+    "plot_chart": "isetval.app.plots.color",
+    "plot_dark_mean": "isetval.app.plots.dark_series",
+    "plot_dark_noise": "isetval.app.plots.dark_series",
+    "plot_edge_profile": "isetval.app.plots.edges",
+    "plot_edges": "isetval.app.plots.edges",
+    "plot_fixed_pattern": "isetval.app.plots.noise",
+    "plot_illumination_residuals": "isetval.app.plots.shading",
+    "plot_mtf50": "isetval.app.plots.edges",
+    "plot_noise_line": "isetval.app.plots.color",
+    "plot_photon_transfer": "isetval.app.plots.noise",
+    "plot_relative_illumination": "isetval.app.plots.shading",
+    "plot_sfr": "isetval.app.plots.edges",
+    "plot_transfer_residuals": "isetval.app.plots.noise",
+}
+__all__ = sorted(_NAMES)
+__getattr__, __dir__ = lazy_names(__name__, _NAMES)

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isetval.app.plots.panels import PLANE_COLORS, own_axes
+
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 CHANNEL_COLORS = ("tab:red", "tab:green", "tab:blue")
-PLANE_COLORS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "B": "tab:blue", "MONO": "black"}
 
 
 def chart_figure(result: Any) -> Figure:
@@ -19,24 +21,39 @@ def chart_figure(result: Any) -> Figure:
 
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
+    plot_chart(result, left)
+    plot_noise_line(result, right)
+    return figure
+
+
+def plot_chart(result: Any, ax: Axes | None = None) -> Axes:
+    """Means of the patches with sigma, by plane, of a ``ChartResult``."""
+    axis = own_axes(ax)
     number = np.arange(len(result.names)) + 1
     for k, plane in enumerate(result.planes):
-        color = PLANE_COLORS.get(plane)
-        left.errorbar(number, result.mean_dn[:, k], result.sigma_dn[:, k], fmt=".", color=color, label=plane)
-        right.plot(result.mean_dn[:, k], result.patches.noise_dn[:, k] ** 2, ".", color=color, label=plane)
+        axis.errorbar(number, result.mean_dn[:, k], result.sigma_dn[:, k], fmt=".", color=PLANE_COLORS.get(plane), label=plane)
+    axis.set(xlabel="patch", ylabel="mean above black (DN)")
+    return _finished(axis)
+
+
+def plot_noise_line(result: Any, ax: Axes | None = None) -> Axes:
+    """Pixel variance against mean of the patches of a ``ChartResult``, with the fitted line."""
+    axis = own_axes(ax)
+    for k, plane in enumerate(result.planes):
+        axis.plot(result.mean_dn[:, k], result.patches.noise_dn[:, k] ** 2, ".", color=PLANE_COLORS.get(plane), label=plane)
     line = result.noise_lines.get("all")
     if line is not None:
         x = np.array([0, float(np.max(result.mean_dn))])
         label = f"slope {line.slope_dn:.3f} +- {line.slope_sigma_dn:.3f} DN"
-        right.plot(x, line.intercept_dn2 + line.slope_dn * x, "k--", lw=1, label=label)
-    left.set_xlabel("patch")
-    left.set_ylabel("mean above black (DN)")
-    right.set_xlabel("mean above black (DN)")
-    right.set_ylabel("pixel variance (DN^2)")
-    for axis in (left, right):
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize="small")
-    return figure
+        axis.plot(x, line.intercept_dn2 + line.slope_dn * x, "k--", lw=1, label=label)
+    axis.set(xlabel="mean above black (DN)", ylabel="pixel variance (DN^2)")
+    return _finished(axis)
+
+
+def _finished(axis: Axes) -> Axes:
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize="small")
+    return axis
 
 
 def qe_figure(result: Any, wavelength_nm: Any, measured: Any, predicted: Any) -> Figure:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isetval.app.plots.panels import own_axes
 from isetval.core.capture import Capture
 from isetval.measure.edge.edge_finding import FoundEdges, working_image
 from isetval.measure.edge.sfr_result import AXIS, SfrResult
@@ -17,27 +18,60 @@ if TYPE_CHECKING:
 
 ACCEPTED = "tab:green"
 REJECTED = "tab:red"
+SHOWN_PX = 1400  # longest side of a drawn frame: what a screen shows of it
 
 
 def found_edges_figure(capture: Capture, found: FoundEdges, results: Sequence[SfrResult] = (), *, title: str = "") -> Figure:
     """The capture with the regions that were used (green, with MTF50 where given) and rejected (red, with the reason)."""
     from matplotlib.figure import Figure
 
-    image, scale = working_image(capture)
     rows, cols = capture.mosaic.shape
     figure = Figure(figsize=(11, 11 * rows / cols + 0.6), layout="constrained")
-    axis = figure.subplots()
-    low, high = np.percentile(image, [0.5, 99.5])
-    shown = np.clip((image - low) / max(high - low, 1e-9), 0, 1) ** (1 / 2.2)
-    axis.imshow(shown, cmap="gray", extent=(-0.5, image.shape[1] * scale - 0.5, image.shape[0] * scale - 0.5, -0.5))
+    axis = plot_edges(capture, found, results, figure.subplots())
+    axis.set_title(f"{title}: {axis.get_title()}" if title else axis.get_title())
+    return figure
+
+
+def plot_edges(capture: Capture, found: FoundEdges, results: Sequence[SfrResult] = (), ax: Axes | None = None) -> Axes:
+    """The frame with regions used (green: MTF50 where given, else the angle) and refused (red, with the reason)."""
+    axis = own_axes(ax)
+    plot_frame(capture, axis)
     for edge in found.rejected:
         _box(axis, edge.roi, REJECTED, edge.reason)
     labels = {r.roi: f"{r.mtf50_cy_px:.3f}" for r in results}
     for roi in found:
         _box(axis, roi, ACCEPTED, labels.get((roi[0], roi[1], roi[2], roi[3]), f"{roi.angle_deg:.1f}\N{DEGREE SIGN}"))
-    counts = f"{len(found)} used (green), {len(found.rejected)} rejected (red, with reason)"
-    axis.set(xlabel="column (px)", ylabel="row (px)", title=f"{title}: {counts}" if title else counts)
-    return figure
+    axis.set_title(f"{len(found)} used (green), {len(found.rejected)} rejected (red, with reason)")
+    return axis
+
+
+def plot_frame(capture: Capture, ax: Axes | None = None) -> Axes:
+    """The capture in grey: its greens, between the half-percent ends, with a display curve."""
+    axis = own_axes(ax)
+    image, scale = working_image(capture)
+    step = max(1, round(max(image.shape) / SHOWN_PX))
+    low, high = np.percentile(image, [0.5, 99.5])
+    shown = np.clip((image[::step, ::step] - low) / max(high - low, 1e-9), 0, 1) ** (1 / 2.2)
+    axis.imshow(shown, cmap="gray", extent=(-0.5, image.shape[1] * scale - 0.5, image.shape[0] * scale - 0.5, -0.5))
+    axis.set(xlabel="column (px)", ylabel="row (px)")
+    return axis
+
+
+def plot_mtf50(results: Sequence[SfrResult], ax: Axes | None = None, *, center_px: tuple[float, float]) -> Axes:
+    """MTF50 of accepted edges against distance from ``center_px`` (row, col), vertical and horizontal edges apart."""
+    axis = own_axes(ax)
+    for orientation, marker in (("vertical", "o"), ("horizontal", "s")):
+        own = [r for r in results if r.accepted and r.orientation == orientation]
+        if own:
+            radius = [np.hypot(r.edge_row_px - center_px[0], r.edge_col_px - center_px[1]) for r in own]
+            value, sigma = [r.mtf50_cy_px for r in own], [r.mtf50_sigma for r in own]
+            axis.errorbar(radius, value, sigma, fmt=marker, ms=4, label=f"{orientation} edges")
+    axis.set(xlabel="distance from the middle of the capture (px)", ylabel="MTF50 (cycles/px)")
+    axis.set_ylim(bottom=0)
+    axis.grid(alpha=0.3)
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(fontsize="small")
+    return axis
 
 
 def _box(axis: Axes, roi: Sequence[int], color: str, text: str) -> None:
@@ -60,13 +94,29 @@ def sfr_figure(capture: Capture, result: SfrResult) -> Figure:
     picture.set_title(f"channel {result.channel}, {verdict}", fontsize="small")
     if len(result.distance_px):
         _edge_line(picture, result)
-        spread.plot(result.distance_px, result.esf, color="tab:blue")
-        lsf = spread.twinx()
-        lsf.plot(result.distance_px, result.lsf, color="tab:orange")
-        lsf.set_ylabel("LSF (1/px)")
-    spread.set(xlabel="distance along the normal (px)", ylabel="ESF (DN above black)")
-    sfr_curves(curve, {result.method: result})
+    plot_edge_profile(result, spread)
+    plot_sfr(result, curve)
     return figure
+
+
+def plot_edge_profile(result: SfrResult, ax: Axes | None = None) -> Axes:
+    """Edge spread (left scale) and line spread (right scale) along the normal."""
+    axis = own_axes(ax)
+    if len(result.distance_px):
+        axis.plot(result.distance_px, result.esf, color="tab:blue")
+        lsf = axis.twinx()
+        lsf.plot(result.distance_px, result.lsf, color="tab:orange")
+        lsf.set_ylabel("LSF (1/px)", color="tab:orange")
+    axis.set_xlabel("distance along the normal (px)")
+    axis.set_ylabel("ESF (DN above black)", color="tab:blue")
+    return axis
+
+
+def plot_sfr(results: SfrResult | Mapping[str, SfrResult], ax: Axes | None = None) -> Axes:
+    """SFR with its 95 % band, of one result or of several by label."""
+    axis = own_axes(ax)
+    sfr_curves(axis, results if isinstance(results, Mapping) else {results.method: results})
+    return axis
 
 
 def _edge_line(axis: Axes, result: SfrResult) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isetval.app.plots.panels import PLANE_COLORS, own_axes
 from isetval.measure.noise.patch_noise import PatchTable
 from isetval.measure.noise.transfer_result import PhotonTransfer, PlaneTransfer
 
@@ -14,27 +15,47 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLORS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "B": "tab:blue", "MONO": "tab:gray"}
-
 
 def transfer_figure(result: PhotonTransfer) -> Figure:
     """Three panels: variance against mean, its departure from the fit in sigmas, fixed pattern against mean."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 4), layout="constrained")
-    curve, rest, pattern = figure.subplots(1, 3)
-    for plane, transfer in result.items():
-        color = COLORS.get(plane, "black")
-        _curve(curve, transfer, color)
-        _residual(rest, transfer, color)
-        _pattern(pattern, transfer, color)
-    curve.set(xlabel="mean above black (DN)", ylabel="temporal variance (DN$^2$)", xscale="log", yscale="log")
-    rest.set(xlabel="mean above black (DN)", ylabel="(variance - fit) / sigma", xscale="log")
-    rest.axhspan(-2, 2, color="0.9")
-    pattern.set(xlabel="mean above black (DN)", ylabel="fixed pixel pattern (DN)", xscale="log", yscale="log")
-    pattern.xaxis.set_minor_formatter("")
-    curve.legend(fontsize="small")
+    for draw, axis in zip(
+        (plot_photon_transfer, plot_transfer_residuals, plot_fixed_pattern), figure.subplots(1, 3), strict=True
+    ):
+        draw(result, axis)
     return figure
+
+
+def plot_photon_transfer(result: PhotonTransfer, ax: Axes | None = None) -> Axes:
+    """Temporal variance against mean of every plane, with the fitted slopes; levels left out are crosses."""
+    axis = own_axes(ax)
+    for plane, transfer in result.items():
+        _curve(axis, transfer, PLANE_COLORS.get(plane, "black"))
+    axis.set(xlabel="mean above black (DN)", ylabel="temporal variance (DN$^2$)", xscale="log", yscale="log")
+    axis.legend(fontsize="small")
+    return axis
+
+
+def plot_transfer_residuals(result: PhotonTransfer, ax: Axes | None = None) -> Axes:
+    """Departure of the variances from the best curve, in standard deviations."""
+    axis = own_axes(ax)
+    for plane, transfer in result.items():
+        _residual(axis, transfer, PLANE_COLORS.get(plane, "black"))
+    axis.set(xlabel="mean above black (DN)", ylabel="(variance - fit) / sigma", xscale="log")
+    axis.axhspan(-2, 2, color="0.9")
+    return axis
+
+
+def plot_fixed_pattern(result: PhotonTransfer, ax: Axes | None = None) -> Axes:
+    """Fixed pixel-to-pixel pattern against mean, with the PRNU as a line."""
+    axis = own_axes(ax)
+    for plane, transfer in result.items():
+        _pattern(axis, transfer, PLANE_COLORS.get(plane, "black"))
+    axis.set(xlabel="mean above black (DN)", ylabel="fixed pixel pattern (DN)", xscale="log", yscale="log")
+    axis.xaxis.set_minor_formatter("")
+    return axis
 
 
 def _curve(axis: Axes, transfer: PlaneTransfer, color: str) -> None:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isetval.app.plots.panels import PLANE_COLORS, own_axes
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-COLORS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "B": "tab:blue", "MONO": "black"}
 
 
 def falloff_figure(result: Any, *, predictions: Mapping[str, tuple[Any, Any]] | None = None) -> Figure:
@@ -26,10 +26,10 @@ def falloff_figure(result: Any, *, predictions: Mapping[str, tuple[Any, Any]] | 
 
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(2, 2)
-    _curves(axes[0, 0], result, predictions or {})
+    plot_relative_illumination(result, axes[0, 0], predictions=predictions)
     _differences(axes[0, 1], result, predictions or {})
     _ratios(axes[1, 0], result)
-    _residual_map(figure, axes[1, 1], result)
+    plot_illumination_residuals(result, axes[1, 1])
     row, col = result.center_px
     figure.suptitle(
         f"centre (row, col) {row:.1f}, {col:.1f} px; {result.basis} of order {result.order}; chi2/dof {result.chi2_dof:.3f}"
@@ -37,15 +37,20 @@ def falloff_figure(result: Any, *, predictions: Mapping[str, tuple[Any, Any]] | 
     return figure
 
 
-def _curves(axis: Axes, result: Any, predictions: Mapping[str, tuple[Any, Any]]) -> None:
+def plot_relative_illumination(
+    result: Any, ax: Axes | None = None, *, predictions: Mapping[str, tuple[Any, Any]] | None = None
+) -> Axes:
+    """Radial curve and ring means of every plane of a ``RelativeIllumination``; dotted where no ring supports it."""
+    axis = own_axes(ax)
     for name, plane in result.planes.items():
         inside = _inside(plane)
-        axis.plot(plane.radius_mm[inside], plane.curve[inside], color=COLORS.get(name), label=name, lw=1)
-        axis.plot(plane.radius_mm[~inside], plane.curve[~inside], ":", color=COLORS.get(name), lw=1)
-        axis.errorbar(plane.ring_radius_mm, plane.ring, plane.ring_sigma, fmt=".", ms=3, color=COLORS.get(name))
-    for label, (radius, value) in predictions.items():
+        axis.plot(plane.radius_mm[inside], plane.curve[inside], color=PLANE_COLORS.get(name), label=name, lw=1)
+        axis.plot(plane.radius_mm[~inside], plane.curve[~inside], ":", color=PLANE_COLORS.get(name), lw=1)
+        axis.errorbar(plane.ring_radius_mm, plane.ring, plane.ring_sigma, fmt=".", ms=3, color=PLANE_COLORS.get(name))
+    for label, (radius, value) in (predictions or {}).items():
         axis.plot(radius, value, "k--", lw=1, label=label)
     _finish(axis, "relative illumination")
+    return axis
 
 
 def _inside(plane: Any) -> Any:
@@ -56,7 +61,7 @@ def _inside(plane: Any) -> Any:
 def _differences(axis: Axes, result: Any, predictions: Mapping[str, tuple[Any, Any]]) -> None:
     """Measured minus predicted in points; without a prediction, ring means minus curve."""
     for name, plane in result.planes.items():
-        color = COLORS.get(name)
+        color = PLANE_COLORS.get(name)
         if not predictions:
             rings = np.clip(plane.ring_radius_mm, 0, plane.radius_mm[-1])
             axis.errorbar(rings, 100 * (plane.ring - plane.at(rings)[0]), 100 * plane.ring_sigma, fmt=".", ms=3, color=color)
@@ -82,18 +87,24 @@ def _ratios(axis: Axes, result: Any) -> None:
     _finish(axis, "colour shading")
 
 
-def _residual_map(figure: Figure, axis: Axes, result: Any) -> None:
-    """Residual over sigma of the plane with most light."""
+def plot_illumination_residuals(result: Any, ax: Axes | None = None) -> Axes:
+    """Map of (block - model) / sigma of the plane with most light, and the fitted centre."""
+    axis = own_axes(ax)
     name, plane = max(result.planes.items(), key=lambda item: item[1].signal_dn)
     z = (plane.map - plane.model) / plane.map_sigma
-    drawn = axis.scatter(plane.map_col_px.ravel(), plane.map_row_px.ravel(), c=z.ravel(), s=4, vmin=-4, vmax=4, cmap="RdBu_r")
+    drawn = axis.scatter(
+        plane.map_col_px.ravel(), plane.map_row_px.ravel(), c=z.ravel(), s=4, vmin=-4, vmax=4, cmap="RdBu_r", rasterized=True
+    )
     axis.plot(result.center_px[1], result.center_px[0], "k+")
     axis.invert_yaxis()
     axis.set_aspect("equal")
     axis.set_xlabel("column (px)")
     axis.set_ylabel("row (px)")
     axis.set_title(f"{name}: residual / sigma", fontsize="medium")
+    figure = axis.get_figure(root=True)
+    assert figure is not None
     figure.colorbar(drawn, ax=axis, shrink=0.8)
+    return axis
 
 
 def _finish(axis: Axes, label: str) -> None:

@@ -24,25 +24,14 @@ def report_html(results: Sequence[Mapping[str, Any]]) -> str:
     InputError
         If none of the results can be drawn.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-    from markupsafe import Markup
-
     from isetval.app.report.content import page_content
+    from isetval.app.report.pages import rendered
 
     known = [r for r in results if r.get("kind") == "demo" or "verdict" in r or "ladder" in r or r.get("kind") == "measure"]
     if not known:
         kinds = ", ".join(str(r.get("kind", "unknown")) for r in results) or "nothing"
         raise InputError(f"a report needs results of measure, compare, diagnose or demo; found {kinds}")
-    environment = Environment(
-        loader=PackageLoader("isetval.app.report"),
-        autoescape=select_autoescape(),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    folder = Path(__file__).parent / "templates"
-    style, script = (Markup((folder / name).read_text(encoding="utf-8")) for name in ("report.css", "report.js"))
-    return environment.get_template("report.html").render(page_content(known), style=style, script=script)
+    return rendered("report.html", **page_content(known))
 
 
 def write_report(results: Sequence[Mapping[str, Any]], path: Path | str) -> Path:

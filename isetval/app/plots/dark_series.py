@@ -1,0 +1,48 @@
+"""Plots of dark frames: mean and temporal noise against exposure time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isetval.app.plots.panels import PLANE_COLORS, own_axes
+from isetval.measure.noise.dark_frames import Dark
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def plot_dark_mean(result: Dark, ax: Axes | None = None) -> Axes:
+    """Raw mean of the darks against exposure time, with the fitted black level and dark current."""
+    axis = own_axes(ax)
+    for plane, dark in result.items():
+        color = PLANE_COLORS.get(plane, "black")
+        time_s = np.array([time or 0.0 for time, _ in dark.levels])
+        mean = [level.black_dn for _, level in dark.levels]
+        axis.errorbar(time_s, [q.value for q in mean], [q.sigma for q in mean], fmt="o", ms=4, color=color, label=plane)
+        slope = dark.dark_current_dn_per_s.value
+        if np.isfinite(slope):
+            axis.plot(time_s, dark.black_level_dn.value + slope * time_s, "-", lw=0.8, color=color)
+    axis.set(xlabel="exposure time (s)", ylabel="mean of darks (DN)")
+    return _finished(axis)
+
+
+def plot_dark_noise(result: Dark, ax: Axes | None = None) -> Axes:
+    """Temporal standard deviation of a pixel in the dark, and the fixed pattern, against exposure time."""
+    axis = own_axes(ax)
+    for plane, dark in result.items():
+        color = PLANE_COLORS.get(plane, "black")
+        time_s = [time or 0.0 for time, _ in dark.levels]
+        for marker, name, label in (("o", "read_variance", f"{plane} temporal"), ("x", "dsnu_variance", f"{plane} fixed")):
+            value = [max(getattr(level, name).value, 0.0) ** 0.5 for _, level in dark.levels]
+            axis.plot(time_s, value, marker, ms=4, color=color, label=label)
+    axis.set(xlabel="exposure time (s)", ylabel="standard deviation in the dark (DN)")
+    return _finished(axis)
+
+
+def _finished(axis: Axes) -> Axes:
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize="small")
+    axis.ticklabel_format(axis="y", useOffset=False)
+    return axis

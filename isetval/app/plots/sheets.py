@@ -1,0 +1,198 @@
+"""Sheets of a measurement: what the estimators found, each with its figure, its few numbers and its curves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isetval.app.plots import color, dark_series, edges, noise, shading
+from isetval.app.words import with_sigma
+from isetval.core.capture import Capture
+from isetval.core.errors import InputError
+from isetval.core.jsonable import plain
+from isetval.core.quantity import Quantity
+from isetval.measure import chart, dark, emva1288, find_edges, photon_transfer, relative_illumination, sfr
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from isetval.measure.edge.sfr_result import SfrResult
+
+Rows = Sequence[tuple[str, ...]]
+ISO = "iso12233:2023"
+PLACES = (("center", 0.0), ("part way", 0.7), ("corner", 1.0))
+"""Where edges are shown in full: shares of half the diagonal, as ISO 12233 and lens tests divide the field."""
+QUOTED = ("K", "sigma_d", "mu_e.sat", "DR", "SNR_max", "LE_min", "LE_max", "PRNU1288", "DSNU1288", "mu_c", "eta")
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One page of a measurement: title, table (first row the header), remarks, figure, curves for the JSON."""
+
+    title: str
+    table: Rows
+    remarks: Sequence[str]
+    figure: Figure
+    curves: Mapping[str, Any] = field(default_factory=dict)
+
+
+def edge_sheets(capture: Capture, name: str, *, channel: str = "G") -> list[Sheet]:
+    """All regions found in a frame, and the edges nearest to center, part way and corner in full."""
+    found = find_edges(capture, channel)
+    results = [sfr(capture, roi, channel) for roi in found]
+    reasons = Counter(edge.reason for edge in found.rejected)
+    frame = Sheet(
+        f"{name}: regions",
+        (),
+        [f"refused: {', '.join(f'{count} {reason}' for reason, count in reasons.most_common())}"] if reasons else [],
+        edges.found_edges_figure(capture, found, results),
+        {"rejected": [{"roi": list(edge.roi), "reason": edge.reason, "message": edge.message} for edge in found.rejected]},
+    )
+    accepted = [r for r in results if r.accepted]
+    return [frame, sfr_sheet(capture, accepted, name)] if accepted else [frame]
+
+
+def sfr_sheet(capture: Capture, results: Sequence[SfrResult], name: str) -> Sheet:
+    """MTF50 over the field, SFR at three places, one edge profile; both MTF50, the default's and ISO 12233's."""
+    from matplotlib.figure import Figure
+
+    rows, cols = capture.mosaic.shape
+    middle = ((rows - 1) / 2, (cols - 1) / 2)
+    share = [np.hypot(r.edge_row_px - middle[0], r.edge_col_px - middle[1]) / np.hypot(*middle) for r in results]
+    chosen = {place: results[int(np.argmin([abs(s - at) for s in share]))] for place, at in PLACES}
+    chosen = {place: r for i, (place, r) in enumerate(chosen.items()) if r not in list(chosen.values())[:i]}
+    figure = Figure(figsize=(13, 4), layout="constrained")
+    field_axis, curve, profile = figure.subplots(1, 3)
+    edges.plot_mtf50(results, field_axis, center_px=middle)
+    edges.plot_sfr(chosen, curve)
+    first = next(iter(chosen))
+    edges.plot_edge_profile(chosen[first], profile)
+    profile.set_title(f"edge at {first}", fontsize="medium")
+    table: list[tuple[str, ...]] = [("edge", "region", "angle", "MTF50 (cy/px)", f"MTF50, {ISO} (cy/px)", "MTF10 (cy/px)")]
+    for place, r in chosen.items():
+        iso = sfr(capture, r.roi, r.channel, method=ISO)
+        table.append(
+            (
+                place,
+                ",".join(map(str, r.roi)),
+                f"{r.angle_deg:.1f}°",
+                with_sigma(r.mtf50_cy_px, r.mtf50_sigma, sign="±"),
+                with_sigma(iso.mtf50_cy_px, iso.mtf50_sigma, sign="±") if iso.accepted else ", ".join(iso.flags),
+                with_sigma(r.mtf10_cy_px, r.mtf10_sigma, sign="±"),
+            )
+        )
+    return Sheet(f"{name}: sharpness, channel {results[0].channel}", table, (), figure, {"edges": [_edge_curves(r) for r in results]})
+
+
+def _edge_curves(r: SfrResult) -> dict[str, Any]:
+    names = ("frequency_cy_px", "mtf", "mtf_sigma", "distance_px", "esf", "lsf")
+    return {"roi": list(r.roi), "mtf50_cy_px": r.mtf50_cy_px, "mtf50_sigma": r.mtf50_sigma} | {n: plain(getattr(r, n)) for n in names}
+
+
+def chart_sheet(capture: Capture, name: str) -> Sheet:
+    """The chart where it was found, means and noise of its patches, its colour error.
+
+    Raises
+    ------
+    MeasurementError
+        Where there is no chart.
+    """
+    from matplotlib.figure import Figure
+
+    result = chart(capture)
+    figure = Figure(figsize=(14, 4.4), layout="constrained")
+    frame, means, variances = figure.subplots(1, 3)
+    edges.plot_frame(capture, frame)
+    for number, quad in enumerate(result.corners_px, 1):
+        ring = np.vstack([quad, quad[:1]])
+        frame.plot(ring[:, 1], ring[:, 0], color="tab:green", lw=1)
+        frame.text(*quad.mean(axis=0)[::-1], str(number), color="tab:green", fontsize=7, ha="center", va="center")
+    color.plot_chart(result, means)
+    color.plot_noise_line(result, variances)
+    table: list[tuple[str, ...]] = [("patch", *(f"{plane} (DN)" for plane in result.planes))]
+    for i, patch in enumerate(result.names):
+        cells = (with_sigma(m, s, sign="±") for m, s in zip(result.mean_dn[i], result.sigma_dn[i], strict=True))
+        table.append((f"{i + 1} {patch}", *cells))
+    remarks = list(result.warnings)
+    try:
+        remarks.append(repr(result.color_error()).removeprefix("ColorError(").removesuffix(")"))
+    except InputError as error:
+        remarks.append(f"no colour error: {error}")
+    curves = {"patches": list(result.names), "mean_dn": plain(result.mean_dn), "sigma_dn": plain(result.sigma_dn)}
+    return Sheet(f"{name}: chart", table, remarks, figure, curves)
+
+
+def transfer_sheet(flats: Sequence[Capture], darks: Sequence[Capture], name: str) -> Sheet:
+    """Photon transfer of a series with the table that people ask for."""
+    result = photon_transfer(flats, dark=darks or None)
+    rows = [row for row in emva1288(flats, dark=darks or None).rows if row.symbol in QUOTED and np.isfinite(row.value)]
+    planes = list(result)
+    table: list[tuple[str, ...]] = [("quantity", *planes)]
+    for symbol in dict.fromkeys(row.symbol for row in rows):
+        own = {row.plane: row for row in rows if row.symbol == symbol}
+        head = next(iter(own.values()))
+        cells = (with_sigma(own[p].value, own[p].sigma, own[p].unit, sign="±") if p in own else "" for p in planes)
+        table.append((f"{head.name} ({symbol})", *cells))
+    remarks = [f"{plane}: {', '.join(transfer.flags)}" for plane, transfer in result.items() if transfer.flags]
+    curves = {
+        plane: [
+            {
+                "time_s": level.time_s,
+                "mean_dn": level.mean_dn,
+                "variance_dn2": level.variance_dn2,
+                "variance_sigma_dn2": level.variance_sigma_dn2,
+                "used": level.used,
+                "reason": level.reason,
+            }
+            for level in transfer.levels
+        ]
+        for plane, transfer in result.items()
+    }
+    return Sheet(f"{name}: photon transfer", table, remarks, noise.transfer_figure(result), {"photon_transfer": plain(curves)})
+
+
+def dark_sheet(darks: Sequence[Capture], name: str) -> Sheet:
+    """Mean and noise of dark frames over exposure time."""
+    from matplotlib.figure import Figure
+
+    result = dark(darks)
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    mean, deviation = figure.subplots(1, 2)
+    dark_series.plot_dark_mean(result, mean)
+    dark_series.plot_dark_noise(result, deviation)
+    quantities = [key for key, value in vars(next(iter(result.values()))).items() if isinstance(value, Quantity)]
+    table: list[tuple[str, ...]] = [("quantity", *result)]
+    for key in quantities:
+        own = [getattr(d, key) for d in result.values()]
+        if any(np.isfinite(q.value) for q in own):
+            table.append((key.replace("_", " "), *(with_sigma(q.value, q.total_sigma, q.unit, sign="±") for q in own)))
+    table.append(("hot pixels, noisy pixels", *(f"{d.hot_pixels}, {d.noisy_pixels}" for d in result.values())))
+    remarks = [f"{plane}: {', '.join(d.flags)}" for plane, d in result.items() if d.flags]
+    curves = {
+        plane: [{"time_s": t, "mean_dn": v.black_dn.value, "read_variance_dn2": v.read_variance.value} for t, v in d.levels]
+        for plane, d in result.items()
+    }
+    return Sheet(f"{name}: dark frames", table, remarks, figure, {"dark": plain(curves)})
+
+
+def illumination_sheet(flats: Sequence[Capture], darks: Sequence[Capture], name: str) -> Sheet:
+    """Relative illumination: curves, colour shading, residual map, and what is left in the corner."""
+    result = relative_illumination(flats, dark=darks or None)
+    table: list[tuple[str, ...]] = [("relative illumination", *result.planes)]
+    reach = min(float(plane.ring_radius_mm[-1]) for plane in result.planes.values())
+    for share in (0.5, 0.75, 1.0):
+        cells = []
+        for plane in result.planes.values():
+            value, sigma = plane.at(np.array([share * reach]))
+            cells.append(with_sigma(float(value[0]), float(sigma[0]), sign="±"))
+        table.append((f"at {share * reach:.2f} mm", *cells))
+    curves = {
+        plane: {"radius_mm": plain(p.radius_mm), "curve": plain(p.curve), "sigma": plain(p.sigma)}
+        for plane, p in result.planes.items()
+    }
+    figure = shading.falloff_figure(result)
+    return Sheet(f"{name}: relative illumination", table, list(result.warnings), figure, {"relative_illumination": curves})
