@@ -48,7 +48,7 @@ class FileMeasurement:
 
     ``metrics`` are (file name, or "" where several files gave it, Metric); ``files`` describes every file that was read;
     ``skipped`` are (file, reason) of those that could not be read; ``notes`` are remarks with their reason; ``empty`` says
-    that the role asked for gave no number, with the reasons.
+    that the role asked for gave no number, with the reasons; ``campaign`` is what a series of darks or flats became.
     """
 
     metrics: tuple[tuple[str, Metric], ...] = ()
@@ -57,6 +57,7 @@ class FileMeasurement:
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     empty: str = ""
+    campaign: Campaign | None = None
 
 
 def raw_files(paths: Iterable[Path]) -> list[Path]:
@@ -261,7 +262,7 @@ def _series(paths: Sequence[Path], captures: FileCaptures, asked: Asked, progres
     lone = {shot.name: shot.files[0] for shot in shots if len(shot.files) == 1}
     metrics = tuple((lone.get(m.shot, ""), m) for m in _rows(table))
     notes = tuple(note for note in table.notes if not note.startswith("file "))
-    return replace(nothing, metrics=metrics, skipped=tuple(captures.skipped), notes=notes)
+    return replace(nothing, metrics=metrics, skipped=tuple(captures.skipped), notes=notes, campaign=campaign)
 
 
 def series_shots(facts: Sequence[FileFacts], asked: Asked) -> tuple[Shot, ...]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from isetval.app.cli.console import Console
-from isetval.app.cli.outcome import BAD_INPUT, FINE, INTERNAL, MISSING_PART, Outcome
+from isetval.app.cli.outcome import BAD_INPUT, FINE, INTERNAL, MISSING_PART, PAGE_SUFFIXES, Outcome
 from isetval.core.jsonable import plain
 
 __all__ = ["main"]
@@ -73,12 +73,16 @@ def _run(args: argparse.Namespace, words: list[str], console: Console) -> int:
 
     if not args.verbose:
         warnings.simplefilter("ignore")
-    _check_output(args.output, RESULT_SUFFIXES if args.writes_result else args.suffixes)
+    _check_output(args.output, (*RESULT_SUFFIXES, *args.suffixes) if args.writes_result else args.suffixes)
     outcome: Outcome = args.handler(args, console)
     result = _with_provenance(outcome, words)
     if args.output is not None and args.writes_result:
         _write(args.output, result, outcome)
         console.note(f"written: {args.output}")
+        if getattr(args, "open", False):
+            import webbrowser
+
+            webbrowser.open(Path(args.output).resolve().as_uri())
     console.show(outcome.lines)
     if args.json:
         import json
@@ -118,6 +122,10 @@ def _write(output: str, result: dict[str, Any], outcome: Outcome) -> None:
 
     if output.lower().endswith(".csv"):
         write_whole(output, _csv(outcome))
+        return
+    suffix = Path(output).suffix.lower()
+    if outcome.page is not None and suffix in PAGE_SUFFIXES:
+        write_whole(output, outcome.page(suffix, result))
         return
     import json
 

@@ -63,9 +63,8 @@ def metric_lines(metrics: Sequence[Metric], *, files: Sequence[str], brief: bool
     if patches and not brief:
         lines += _patch_table(patches)
     rest = [(m, f) for m, f in zip(metrics, files, strict=True) if not (m.name == "patch_mean" and m.patch) or brief]
-    if brief and len(rest) > MAX_ROWS:
-        lines.append(f"  {len(rest)} metrics (all of them with --json or -o)")
-        return lines
+    if len(rest) > MAX_ROWS:
+        return [*lines, *_family_table([m for m, _ in rest])]
     if rest:
         lines.append("# metrics")
         body = [
@@ -82,6 +81,25 @@ def metric_lines(metrics: Sequence[Metric], *, files: Sequence[str], brief: bool
         ]
         lines += _dropping_empty(("metric", "channel", "where", "at", "value", "flags", "file"), body)
     return lines
+
+
+def headline_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The numbers that people ask for first."""
+    from isetval.app.headline import headline_tables
+
+    lines: list[str] = []
+    for title, table in headline_tables(rows):
+        lines += [f"# {title}", *text_table(table[0], table[1:])]
+    return lines
+
+
+def _family_table(metrics: Sequence[Metric]) -> list[str]:
+    """How many numbers of each kind there are, where they are too many for a screen."""
+    families: dict[str, list[Metric]] = {}
+    for m in metrics:
+        families.setdefault(m.family or m.name, []).append(m)
+    body = [(name, len(rows), " ".join(dict.fromkeys(m.unit for m in rows))) for name, rows in families.items()]
+    return [f"# {len(metrics)} metrics (all of them with --json or -o)", *text_table(("family", "n", "unit"), body)]
 
 
 def _dropping_empty(header: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.cli.console import Console
-from isetval.app.cli.outcome import BAD_INPUT, FINE, OUTSIDE_LIMITS, Outcome
+from isetval.app.cli.outcome import BAD_INPUT, FINE, OUTSIDE_LIMITS, PAGE_SUFFIXES, Outcome
 
 if TYPE_CHECKING:
+    from isetval.app.measurement_sheets import Note
+    from isetval.app.plots.sheets import Sheet
     from isetval.core.metric import Metric, MetricTable
     from isetval.files.loose_files import FileMeasurement
 
@@ -50,7 +53,11 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("--black-dn", type=float, help="black level of headerless raw in DN")
     p.add_argument("--limits", type=Path, help="TOML file of limits; a value outside them gives exit code 1")
     p.add_argument("--shard", metavar="i/n", type=shard, help="only the i-th of n parts of the files (for clusters)")
-    p.set_defaults(handler=measure, writes_result=True)
+    p.add_argument(
+        "--curves", action="store_true", help="SFR, edge profiles, photon transfer, fall-off in the JSON (measures again)"
+    )
+    p.add_argument("--open", action="store_true", help="open the page that -o wrote")
+    p.set_defaults(handler=measure, writes_result=True, suffixes=PAGE_SUFFIXES)
 
 
 def raw_shape(text: str) -> tuple[int, int]:
@@ -93,7 +100,30 @@ def measure(args: argparse.Namespace, console: Console) -> Outcome:
     lines = [*outcome.lines, *([""] if faults else []), *(f"outside limits: {fault}" for fault in faults)]
     code = OUTSIDE_LIMITS if faults else outcome.code
     result = {**outcome.result, **({"outside_limits": faults} if limits else {})}
-    return Outcome(result, lines, code, outcome.inputs, outcome.table)
+    return replace(outcome, result=result, lines=lines, code=code)
+
+
+def _with_pages(outcome: Outcome, args: argparse.Namespace, console: Console, draw: Callable[[Note], list[Sheet]]) -> Outcome:
+    """The outcome with its pictures, where a page or the curves are asked for."""
+    pictured = args.output is not None and Path(args.output).suffix.lower() in PAGE_SUFFIXES
+    if not (pictured or args.curves):
+        return outcome
+    console.say("drawing what was measured")
+    remarks: list[str] = []
+    sheets = draw(remarks.append)
+    curves = {sheet.title: dict(sheet.curves) for sheet in sheets if sheet.curves}
+    result = {**outcome.result, "curves": curves, "notes": [*outcome.result["notes"], *remarks]}
+    lines = [*outcome.lines, *(f"note: {remark}" for remark in remarks)]
+
+    def page(suffix: str, whole: Mapping[str, Any]) -> bytes:
+        from isetval.app.headline import headline_tables
+        from isetval.app.report.measurement import measurement_html, measurement_picture
+
+        if suffix in (".pdf", ".png"):
+            return measurement_picture(sheets, suffix[1:])
+        return measurement_html(whole, headline_tables(whole["metrics"], sign="±"), sheets).encode("utf-8")
+
+    return replace(outcome, result=result, lines=lines, page=page)
 
 
 def _is_campaign(path: Path) -> bool:
@@ -117,6 +147,8 @@ def _raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:
 
 def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
+    from isetval.app.cli.file_words import headline_lines
+    from isetval.app.measurement_sheets import sheets_of_campaign
     from isetval.files.captures import input_hashes
 
     path = args.paths[0]
@@ -134,7 +166,8 @@ def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
         "notes": list(table.notes),
         "settings": dict(table.settings) | {"choices": dict(table.choices)},
     }
-    return Outcome(result, _campaign_lines(table), FINE, input_hashes(campaign), rows)
+    outcome = Outcome(result, [*headline_lines(rows), *_campaign_lines(table)], FINE, input_hashes(campaign), rows)
+    return _with_pages(outcome, args, console, lambda note: sheets_of_campaign(campaign, note))
 
 
 def _refuse_options(args: argparse.Namespace, path: Path) -> None:
@@ -177,6 +210,7 @@ def metric_row(m: Metric, sigma: float, *, file: str = "") -> dict[str, Any]:
 
 
 def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str, Any] | None) -> Outcome:
+    from isetval.app.measurement_sheets import sheets_of_campaign, sheets_of_files
     from isetval.files.loose_files import Asked, file_reader, measure_files, raw_files
 
     paths = raw_files(args.paths)
@@ -187,7 +221,8 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
     black = args.black or ("auto" if single else "tag")
     console.say(f"measuring {len(paths)} files")
     asked = Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e)
-    found = measure_files(paths, read=file_reader(black=black, raw=raw), asked=asked, progress=console.progress)
+    read = file_reader(black=black, raw=raw)
+    found = measure_files(paths, read=read, asked=asked, progress=console.progress)
     rows = [metric_row(m, m.sigma, file=file) for file, m in found.metrics]
     result = {
         "kind": "measure",
@@ -198,18 +233,27 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
         "settings": dict(found.settings) | {"black": black, "raw": raw},
     }
     hashes = {file: str(about["sha256"]) for file, about in found.files.items()}
-    lines = [*_file_lines(found, brief=not single), *([found.empty] if found.empty else [])]
-    return Outcome(result, lines, BAD_INPUT if found.empty else FINE, hashes, rows)
+    lines = [*_file_lines(found, rows, brief=not single), *([found.empty] if found.empty else [])]
+    outcome = Outcome(result, lines, BAD_INPUT if found.empty else FINE, hashes, rows)
+
+    def draw(note: Note) -> list[Sheet]:
+        if found.campaign is not None:
+            return sheets_of_campaign(found.campaign, note)
+        good = [path for path in paths if str(path) in found.files]
+        return sheets_of_files(good, read, role=args.role, channel=args.channel, note=note)
+
+    return _with_pages(outcome, args, console, draw)
 
 
-def _file_lines(found: FileMeasurement, *, brief: bool) -> list[str]:
-    from isetval.app.cli.file_words import file_lines, metric_lines
+def _file_lines(found: FileMeasurement, rows: Sequence[Mapping[str, Any]], *, brief: bool) -> list[str]:
+    from isetval.app.cli.file_words import file_lines, headline_lines, metric_lines
 
     lines: list[str] = []
     for file, about in found.files.items():
         if brief and len(found.files) > 12:
             break
         lines += file_lines(file, about, brief=brief)
+    lines += headline_lines(rows)
     lines += metric_lines([m for _, m in found.metrics], files=[f for f, _ in found.metrics], brief=brief)
     if brief:
         lines.append(f"# measured {len(found.files)} of {len(found.files) + len(found.skipped)} files")

@@ -30,7 +30,7 @@ def common_options() -> argparse.ArgumentParser:
     common.add_argument("-q", "--quiet", action="store_true", help="nothing but errors and JSON")
     common.add_argument("-v", "--verbose", action="store_true", help="every step, warnings, and where an internal error arose")
     common.add_argument("-o", "--output", metavar="PATH", help="where to write the result")
-    common.set_defaults(suffixes=())  # what -o may end in, where a command writes another thing than its result
+    common.set_defaults(suffixes=())  # what -o may end in beside the result's own, or instead of it
     return common
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 ACCEPTED = "tab:green"
 REJECTED = "tab:red"
+MOST_REASONS = 60  # written beside their regions: more of them hide the picture, and are counted in words
 SHOWN_PX = 1400  # longest side of a drawn frame: what a screen shows of it
 
 
@@ -36,12 +37,13 @@ def plot_edges(capture: Capture, found: FoundEdges, results: Sequence[SfrResult]
     """The frame with regions used (green: MTF50 where given, else the angle) and refused (red, with the reason)."""
     axis = own_axes(ax)
     plot_frame(capture, axis)
+    named = len(found.rejected) <= MOST_REASONS
     for edge in found.rejected:
-        _box(axis, edge.roi, REJECTED, edge.reason)
+        _box(axis, edge.roi, REJECTED, edge.reason if named else "")
     labels = {r.roi: f"{r.mtf50_cy_px:.3f}" for r in results}
     for roi in found:
         _box(axis, roi, ACCEPTED, labels.get((roi[0], roi[1], roi[2], roi[3]), f"{roi.angle_deg:.1f}\N{DEGREE SIGN}"))
-    axis.set_title(f"{len(found)} used (green), {len(found.rejected)} rejected (red, with reason)")
+    axis.set_title(f"{len(found)} used (green), {len(found.rejected)} rejected (red{', with reason' if named else ''})")
     return axis
 
 
@@ -79,7 +81,8 @@ def _box(axis: Axes, roi: Sequence[int], color: str, text: str) -> None:
 
     row0, row1, col0, col1 = roi
     axis.add_patch(Rectangle((col0 - 0.5, row0 - 0.5), col1 - col0, row1 - row0, fill=False, edgecolor=color, linewidth=1.0))
-    axis.text(col0, row0 - 2, text, color=color, fontsize=6, va="bottom", clip_on=True)
+    if text:
+        axis.text(col0, row0 - 2, text, color=color, fontsize=6, va="bottom", clip_on=True)
 
 
 def sfr_figure(capture: Capture, result: SfrResult) -> Figure:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isetval.app.plots.panels import PLANE_COLORS, own_axes
+from isetval.app.words import with_sigma
 from isetval.measure.noise.patch_noise import PatchTable
 from isetval.measure.noise.transfer_result import PhotonTransfer, PlaneTransfer
 
@@ -85,7 +86,14 @@ def _pattern(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
     mean = np.array([v.mean_dn for v in levels])
     axis.plot(mean, [np.sqrt(v.fixed.pixel.value) for v in levels if v.fixed is not None], "o", color=color, markersize=4)
     if np.isfinite(transfer.prnu.value):
-        axis.plot(mean, transfer.prnu.value / 100 * mean, "-", color=color, linewidth=0.8, label=f"PRNU {transfer.prnu}")
+        axis.plot(
+            mean,
+            transfer.prnu.value / 100 * mean,
+            "-",
+            color=color,
+            linewidth=0.8,
+            label=f"PRNU {with_sigma(transfer.prnu.value, transfer.prnu.total_sigma, '%')}",
+        )
         axis.legend(fontsize="small")
 
 

@@ -15,11 +15,14 @@ from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
 from isetval.core.quantity import Quantity
+from isetval.core.scene import ChartTarget
 from isetval.measure import chart, dark, emva1288, find_edges, photon_transfer, relative_illumination, sfr
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from isetval.core.scene import Box
     from isetval.measure.edge.sfr_result import SfrResult
 
 Rows = Sequence[tuple[str, ...]]
@@ -65,13 +68,16 @@ def sfr_sheet(capture: Capture, results: Sequence[SfrResult], name: str) -> Shee
     share = [np.hypot(r.edge_row_px - middle[0], r.edge_col_px - middle[1]) / np.hypot(*middle) for r in results]
     chosen = {place: results[int(np.argmin([abs(s - at) for s in share]))] for place, at in PLACES}
     chosen = {place: r for i, (place, r) in enumerate(chosen.items()) if r not in list(chosen.values())[:i]}
-    figure = Figure(figsize=(13, 4), layout="constrained")
-    field_axis, curve, profile = figure.subplots(1, 3)
-    edges.plot_mtf50(results, field_axis, center_px=middle)
-    edges.plot_sfr(chosen, curve)
-    first = next(iter(chosen))
-    edges.plot_edge_profile(chosen[first], profile)
-    profile.set_title(f"edge at {first}", fontsize="medium")
+    if len(results) == 1:
+        chosen, figure = {"this one": results[0]}, edges.sfr_figure(capture, results[0])
+    else:
+        figure = Figure(figsize=(13, 4), layout="constrained")
+        field_axis, curve, profile = figure.subplots(1, 3)
+        edges.plot_mtf50(results, field_axis, center_px=middle)
+        edges.plot_sfr(chosen, curve)
+        first = next(iter(chosen))
+        edges.plot_edge_profile(chosen[first], profile)
+        profile.set_title(f"edge at {first}", fontsize="medium")
     table: list[tuple[str, ...]] = [("edge", "region", "angle", "MTF50 (cy/px)", f"MTF50, {ISO} (cy/px)", "MTF10 (cy/px)")]
     for place, r in chosen.items():
         iso = sfr(capture, r.roi, r.channel, method=ISO)
@@ -85,12 +91,16 @@ def sfr_sheet(capture: Capture, results: Sequence[SfrResult], name: str) -> Shee
                 with_sigma(r.mtf10_cy_px, r.mtf10_sigma, sign="±"),
             )
         )
-    return Sheet(f"{name}: sharpness, channel {results[0].channel}", table, (), figure, {"edges": [_edge_curves(r) for r in results]})
+    return Sheet(
+        f"{name}: sharpness, channel {results[0].channel}", table, (), figure, {"edges": [_edge_curves(r) for r in results]}
+    )
 
 
 def _edge_curves(r: SfrResult) -> dict[str, Any]:
     names = ("frequency_cy_px", "mtf", "mtf_sigma", "distance_px", "esf", "lsf")
-    return {"roi": list(r.roi), "mtf50_cy_px": r.mtf50_cy_px, "mtf50_sigma": r.mtf50_sigma} | {n: plain(getattr(r, n)) for n in names}
+    return {"roi": list(r.roi), "mtf50_cy_px": r.mtf50_cy_px, "mtf50_sigma": r.mtf50_sigma} | {
+        n: plain(getattr(r, n)) for n in names
+    }
 
 
 def chart_sheet(capture: Capture, name: str) -> Sheet:
@@ -103,14 +113,15 @@ def chart_sheet(capture: Capture, name: str) -> Sheet:
     """
     from matplotlib.figure import Figure
 
-    result = chart(capture)
+    from isetval.files.target_search import chart_in
+
+    target = chart_in(capture).targets[0]
+    assert isinstance(target, ChartTarget)
+    boxes = [patch.box for patch in target.patches]
+    result = chart(capture, boxes=boxes, names=[patch.name for patch in target.patches])
     figure = Figure(figsize=(14, 4.4), layout="constrained")
     frame, means, variances = figure.subplots(1, 3)
-    edges.plot_frame(capture, frame)
-    for number, quad in enumerate(result.corners_px, 1):
-        ring = np.vstack([quad, quad[:1]])
-        frame.plot(ring[:, 1], ring[:, 0], color="tab:green", lw=1)
-        frame.text(*quad.mean(axis=0)[::-1], str(number), color="tab:green", fontsize=7, ha="center", va="center")
+    _draw_boxes(capture, boxes, frame)
     color.plot_chart(result, means)
     color.plot_noise_line(result, variances)
     table: list[tuple[str, ...]] = [("patch", *(f"{plane} (DN)" for plane in result.planes))]
@@ -126,10 +137,25 @@ def chart_sheet(capture: Capture, name: str) -> Sheet:
     return Sheet(f"{name}: chart", table, remarks, figure, curves)
 
 
+def _draw_boxes(capture: Capture, boxes: Sequence[Box], axis: Axes) -> None:
+    """The part of the frame that holds the boxes, and the boxes that are measured, numbered."""
+    from matplotlib.patches import Rectangle
+
+    edges.plot_frame(capture, axis)
+    for number, (row0, row1, col0, col1) in enumerate(boxes, 1):
+        axis.add_patch(Rectangle((col0 - 0.5, row0 - 0.5), col1 - col0, row1 - row0, fill=False, edgecolor="tab:green"))
+        axis.text((col0 + col1) / 2, (row0 + row1) / 2, str(number), color="tab:green", fontsize=8, ha="center", va="center")
+    low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
+    margin = 0.15 * max(high[1] - low[0], high[3] - low[2])
+    axis.set(xlim=(low[2] - margin, high[3] + margin), ylim=(high[1] + margin, low[0] - margin))
+
+
 def transfer_sheet(flats: Sequence[Capture], darks: Sequence[Capture], name: str) -> Sheet:
     """Photon transfer of a series with the table that people ask for."""
     result = photon_transfer(flats, dark=darks or None)
-    rows = [row for row in emva1288(flats, dark=darks or None).rows if row.symbol in QUOTED and np.isfinite(row.value)]
+    timed = all(transfer.linearity_from != "none" for transfer in result.values())
+    quoted = [symbol for symbol in QUOTED if timed or not symbol.startswith("LE_")]  # of one light at several times only
+    rows = [row for row in emva1288(flats, dark=darks or None).rows if row.symbol in quoted and np.isfinite(row.value)]
     planes = list(result)
     table: list[tuple[str, ...]] = [("quantity", *planes)]
     for symbol in dict.fromkeys(row.symbol for row in rows):
@@ -137,7 +163,7 @@ def transfer_sheet(flats: Sequence[Capture], darks: Sequence[Capture], name: str
         head = next(iter(own.values()))
         cells = (with_sigma(own[p].value, own[p].sigma, own[p].unit, sign="±") if p in own else "" for p in planes)
         table.append((f"{head.name} ({symbol})", *cells))
-    remarks = [f"{plane}: {', '.join(transfer.flags)}" for plane, transfer in result.items() if transfer.flags]
+    remarks = _flag_words({plane: transfer.flags for plane, transfer in result.items()})
     curves = {
         plane: [
             {
@@ -153,6 +179,15 @@ def transfer_sheet(flats: Sequence[Capture], darks: Sequence[Capture], name: str
         for plane, transfer in result.items()
     }
     return Sheet(f"{name}: photon transfer", table, remarks, noise.transfer_figure(result), {"photon_transfer": plain(curves)})
+
+
+def _flag_words(flags: Mapping[str, Sequence[str]]) -> list[str]:
+    """What is doubted of which planes."""
+    planes: dict[str, list[str]] = {}
+    for plane, own in flags.items():
+        for flag in own:
+            planes.setdefault(flag, []).append(plane)
+    return [f"{flag.replace('_', ' ')}: {', '.join(of)}" for flag, of in planes.items()]
 
 
 def dark_sheet(darks: Sequence[Capture], name: str) -> Sheet:
@@ -171,7 +206,7 @@ def dark_sheet(darks: Sequence[Capture], name: str) -> Sheet:
         if any(np.isfinite(q.value) for q in own):
             table.append((key.replace("_", " "), *(with_sigma(q.value, q.total_sigma, q.unit, sign="±") for q in own)))
     table.append(("hot pixels, noisy pixels", *(f"{d.hot_pixels}, {d.noisy_pixels}" for d in result.values())))
-    remarks = [f"{plane}: {', '.join(d.flags)}" for plane, d in result.items() if d.flags]
+    remarks = _flag_words({plane: d.flags for plane, d in result.items()})
     curves = {
         plane: [{"time_s": t, "mean_dn": v.black_dn.value, "read_variance_dn2": v.read_variance.value} for t, v in d.levels]
         for plane, d in result.items()

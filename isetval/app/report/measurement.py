@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 from isetval.app.plots.panels import figure_bytes, pdf_bytes
 from isetval.app.report.pages import rendered
+from isetval.core.errors import InputError
 
 if TYPE_CHECKING:
     from isetval.app.plots.sheets import Sheet
 
 
-def measurement_html(result: Mapping[str, Any], headline: Sequence[Sequence[str]], sheets: Sequence[Sheet]) -> str:
+def measurement_html(
+    result: Mapping[str, Any], headline: Sequence[tuple[str, Sequence[tuple[str, ...]]]], sheets: Sequence[Sheet]
+) -> str:
     """The page as text.
 
     Parameters
     ----------
     result : mapping
         Of ``isetval measure``, with its provenance.
-    headline : sequence of rows
-        The numbers people ask for; first row the header.
+    headline : sequence of (title, table)
+        The numbers people ask for; first row of each table its header.
     sheets : sequence of Sheet
     """
     made = result.get("provenance", {})
@@ -53,4 +56,6 @@ def measurement_html(result: Mapping[str, Any], headline: Sequence[Sequence[str]
 def measurement_picture(sheets: Sequence[Sheet], kind: str) -> bytes:
     """All figures as a ``pdf``, or the first as a ``png``."""
     figures = [sheet.figure for sheet in sheets]
+    if not figures:
+        raise InputError("nothing that was measured has a picture; write a page (.html) or the numbers (.json, .csv)")
     return pdf_bytes(figures) if kind == "pdf" else figure_bytes(figures[0], "png")

@@ -1,0 +1,103 @@
+"""The few numbers that people ask for first, out of all metrics of a measurement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from isetval.app.words import with_sigma
+
+Row = Mapping[str, Any]
+Table = list[tuple[str, ...]]
+SERIES = {
+    "gain_dn_per_e": "conversion gain",
+    "read_noise_e": "read noise",
+    "read_noise_dn": "read noise",
+    "prnu": "PRNU",
+    "dsnu_e": "DSNU",
+    "dsnu_dn": "DSNU",
+    "dark_current_dn_per_s": "dark current",
+    "black_level_dn": "black level",
+}
+"""Summaries of a session by their metric name, in the order in which they are asked for."""
+ONE_OF = (("read_noise_e", "read_noise_dn"), ("dsnu_e", "dsnu_dn"))
+"""Where the first is known the second says the same in other units."""
+
+
+def headline_tables(rows: Sequence[Row], *, sign: str = "+-") -> list[tuple[str, Table]]:
+    """Titled tables, each with its header as first row; none where nothing of the kind was measured."""
+    found = [*_series(rows, sign), *_falloff(rows, sign), *_sharpness(rows, sign)]
+    return [(title, table) for title, table in found if len(table) > 1]
+
+
+def _quantity(row: Row, sign: str) -> str:
+    return with_sigma(row["value"], row["sigma"], row["unit"], sign=sign)
+
+
+def _series(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
+    own = [row for row in rows if row["name"] in SERIES and str(row.get("family", "")).startswith("summary_")]
+    for session in dict.fromkeys(row.get("measurement_session", "") for row in own):
+        cells = {(r["name"], r.get("channel", "")): r for r in own if r.get("measurement_session", "") == session}
+        planes = list(dict.fromkeys(plane for _, plane in cells))
+        known = {name for name, _ in cells}
+        twice = {second for first, second in ONE_OF if first in known}
+        table: Table = [("", *planes)]
+        for name, words in SERIES.items():
+            if name in known - twice:
+                table.append((words, *(_quantity(cells[name, p], sign) if (name, p) in cells else "" for p in planes)))
+        yield f"sensor{_of(session)}", table
+
+
+def _of(session: str) -> str:
+    return f", session {session}" if session else ""
+
+
+def _falloff(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
+    """Relative illumination farthest out, of every set-up or full frame."""
+    own = [row for row in rows if row["name"] == "relative_illumination"]
+    places: dict[str, list[Row]] = {}
+    for row in own:
+        place = str(row.get("region", "")).rpartition(", r ")[0] or str(row.get("shot", ""))
+        places.setdefault(place, []).append(row)
+    for place, here in places.items():
+        far = max(here, key=lambda row: _radius_mm(row))["region"]
+        cells = {row.get("channel", ""): row for row in here if row["region"] == far}
+        yield f"relative illumination, {place}", [("", *cells), (_at(far), *(_quantity(row, sign) for row in cells.values()))]
+
+
+def _radius_mm(row: Row) -> float:
+    return float(_at(str(row["region"])).split()[1])
+
+
+def _at(region: str) -> str:
+    return "at " + region.rpartition("r ")[2]
+
+
+def _sharpness(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
+    """MTF50 of the edges: nearest the middle of the field, farthest out, and the extremes, by channel."""
+    own = [row for row in rows if row["name"] == "mtf50" and row["value"] is not None]
+    channels = list(dict.fromkeys(row.get("channel", "") for row in own))
+    wanted = [c for c in ("G", "MONO") if c in channels] or channels[:1]
+    for channel in wanted:
+        edges = [row for row in own if row.get("channel", "") == channel]
+        table: Table = [("edges", "MTF50", "where")]
+        if len({_field_mm(row) for row in edges}) > 1:
+            for words, pick in (("nearest the center", min), ("farthest out", max)):
+                row = pick(edges, key=_field_mm)
+                table.append((words, _quantity(row, sign), f"{_field_mm(row):.2f} mm, {_where(row)}"))
+        if len(edges) > 1:
+            for words, pick in (("sharpest", max), ("least sharp", min)):
+                row = pick(edges, key=lambda r: float(r["value"]))
+                table.append((words, _quantity(row, sign), _where(row)))
+        else:
+            table += [("one edge", _quantity(row, sign), _where(row)) for row in edges]
+        yield f"sharpness, channel {channel}, {len(edges)} edges", table
+
+
+def _field_mm(row: Row) -> float:
+    return math.hypot(row.get("field_x_mm") or 0.0, row.get("field_y_mm") or 0.0)
+
+
+def _where(row: Row) -> str:
+    return str(row.get("region") or row.get("shot") or "")
