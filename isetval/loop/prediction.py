@@ -7,7 +7,6 @@ light or electronics a parameter changes are simulated again.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -30,6 +29,7 @@ from isetval.core.hashing import content_hash
 from isetval.core.metric import Block, Differences, MetricTable
 from isetval.core.scene import RenderedTarget
 from isetval.core.store import Store
+from isetval.core.workers import single_worker
 from isetval.loop.gaussian import scatter
 from isetval.loop.render_error import render_covariance
 from isetval.measure.campaign import measure_shot
@@ -213,10 +213,7 @@ class Predictor:
         if self.jobs == 1 or len(jobs) < 4:
             return [function(*job) for job in jobs]
         if not self._pools:
-            for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-                os.environ.setdefault(name, "1")  # read by the workers when they start: one thread each
-            spawn = multiprocessing.get_context("spawn")
-            self._pools = [ProcessPoolExecutor(1, mp_context=spawn) for _ in range(self.jobs)]
+            self._pools = [single_worker() for _ in range(self.jobs)]
         names = [shot.name for shot in self.shots]
         futures = [
             self._pools[names.index(task.setup.shot.name) % self.jobs].submit(function, *job)
