@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,16 @@ LEAST_SIGMA_MTF, LEAST_SIGMA_DN, LEAST_SIGMA_PX = 1e-7, 1e-4, 1e-5
 Float = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class _Place:
+    """A point of an edge in the middle of its region, the direction of its normal, and the sigma along that."""
+
+    row_px: float
+    col_px: float
+    normal_deg: float
+    sigma_px: float
+
+
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
     """SFR and levels of an edge, mean over the frames.
 
@@ -50,7 +61,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     made: dict[str, Any] = {}
     rows: list[Metric] = []
     blocks: list[Float] = []
-    places: dict[str, tuple[float, float]] = {}
+    places: dict[str, _Place] = {}
     reasons: list[str] = []
     for channel in channels:
         known = choices.get(channel)
@@ -72,14 +83,12 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         blocks.append(correlation)
     if not rows:
         raise MeasurementError(f"no edge can be measured ({'; '.join(reasons)})")
-    shifts = _lateral_color(conditions, places)
-    correlation = block_diagonal([*blocks, np.eye(len(shifts))])
+    shifts, between = _lateral_color(conditions, places)
+    correlation = block_diagonal([*blocks, between])
     return Block((*rows, *shifts), correlation, choices=made, differences=Differences(one_frame=True, noise_free=True))
 
 
-def _channel(
-    conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]
-) -> tuple[list[Metric], Float, tuple[float, float]]:
+def _channel(conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]) -> tuple[list[Metric], Float, _Place]:
     n = len(results)
     mtf = np.mean([r.mtf_at(FREQUENCY_CY_PX) for r in results], axis=0)
     covariance = np.mean([_covariance(r) for r in results], axis=0) / n
@@ -99,10 +108,9 @@ def _channel(
     correlation[:k, :k] = (1 - ROUGHNESS) * covariance / np.outer(sigma, sigma)
     correlation[k : k + len(levels), k : k + len(levels)] = between
     np.fill_diagonal(correlation, 1.0)
-    normal = math.radians(results[0].normal_deg)
-    place = float(np.mean([r.edge_col_px * math.cos(normal) + r.edge_row_px * math.sin(normal) for r in results]))
-    place_sigma = math.sqrt(np.mean([r.edge_sigma_px**2 for r in results]) / n)
-    return rows, correlation, (place, place_sigma)
+    row, col = np.mean([(r.edge_row_px, r.edge_col_px) for r in results], axis=0).tolist()
+    place = _Place(row, col, results[0].normal_deg, math.sqrt(np.mean([r.edge_sigma_px**2 for r in results]) / n))
+    return rows, correlation, place
 
 
 def _levels(conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]) -> tuple[list[Metric], Float]:
@@ -126,17 +134,28 @@ def _covariance(result: SfrResult) -> Float:
     return np.asarray(np.diag(np.interp(FREQUENCY_CY_PX, result.frequency_cy_px, result.mtf_sigma) ** 2))
 
 
-def _lateral_color(conditions: dict[str, Any], places: Mapping[str, tuple[float, float]]) -> list[Metric]:
-    """Shift of the red and blue edge against the green one, in px; the pose of the chart cancels."""
-    if "G" not in places:
-        return []
+def _lateral_color(conditions: dict[str, Any], places: Mapping[str, _Place]) -> tuple[list[Metric], Float]:
+    """Shift of the red and blue edge against the green one, in px, with their correlation; the pose of the chart cancels.
+
+    Both are projected on the green edge's normal: projected on its own each, their error would turn with the distance from
+    the region's corner (40 px times .001).
+    """
+    if "G" not in places or not math.isfinite(places["G"].sigma_px):
+        return [], np.zeros((0, 0))
+    green = places["G"]
+    normal = math.radians(green.normal_deg)
     rows = []
     for channel in ("R", "B"):
-        if channel in places and math.isfinite(places[channel][1] + places["G"][1]):
-            shift = places[channel][0] - places["G"][0]
-            sigma = math.hypot(places[channel][1], places["G"][1])
-            rows.append(metric(conditions, "lateral_color", shift, max(sigma, LEAST_SIGMA_PX), "px", channel=channel))
-    return rows
+        other = places.get(channel)
+        if other is not None and math.isfinite(other.sigma_px):
+            shift = (other.col_px - green.col_px) * math.cos(normal) + (other.row_px - green.row_px) * math.sin(normal)
+            sigma = max(math.hypot(other.sigma_px, green.sigma_px), LEAST_SIGMA_PX)
+            rows.append(metric(conditions, "lateral_color", shift, sigma, "px", channel=channel))
+    # the green edge is common to both
+    sigmas = np.array([row.sigma for row in rows])
+    between = green.sigma_px**2 / np.outer(sigmas, sigmas)
+    np.fill_diagonal(between, 1.0)
+    return rows, between
 
 
 def block_diagonal(blocks: Sequence[Float]) -> Float:

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from edge_cases import AIRY
 
-from isetval.measure.analyses.edges import FREQUENCY_CY_PX
+from isetval.core.campaign import Shot
+from isetval.core.scene import EdgeTarget
+from isetval.core.sensor import Exposure
+from isetval.measure.analyses.edges import FREQUENCY_CY_PX, analyze
 from isetval.measure.edge import sfr, sfr_batch
 from isetval.scenes.edge_truth import EdgeBlur, EdgeTruth, edge_capture
 
@@ -59,3 +62,23 @@ def test_sfr_scatters_as_stated_in_every_direction(repeated):
     if name != "soft green":  # where the SFR is 0 its size is no linear function of the noise: too careful there
         assert ratio.min() > 1 - allowed(1) - 0.1
         assert abs(ratio.mean() - 1) < allowed(len(ratio))
+
+
+@pytest.mark.parametrize("angle_deg", [5.0, 95.0])
+def test_lateral_color_of_a_campaign_scatters_as_stated(angle_deg):
+    """No lateral colour was planted: red and blue against green are 0, together, at 40 px from the region's corner."""
+    shot = Shot("edge", "edge", exposure=Exposure(0.01), target=EdgeTarget("edge"), light="sphere")
+    truth = EdgeTruth(AIRY, angle_deg=angle_deg)
+    choices, shifts, covariance = {}, [], np.zeros((2, 2))
+    for seed in range(30):
+        block = analyze(shot, [edge_capture(truth, (80, 80), cfa="RGGB", snr_bright=60, seed=seed)], choices)
+        choices = block.choices
+        rows = [i for i, m in enumerate(block.metrics) if m.name == "lateral_color"]
+        sigma = np.array([block.metrics[i].sigma for i in rows])
+        covariance += block.correlation[np.ix_(rows, rows)] * np.outer(sigma, sigma) / 30
+        shifts.append([block.metrics[i].value for i in rows])
+    shifts = np.array(shifts)
+    assert np.abs(shifts.mean(axis=0) / np.sqrt(np.diag(covariance) / 30)).max() < 4
+    square = np.einsum("ij,ij->", shifts, np.linalg.solve(covariance, shifts.T).T) / shifts.size
+    # .3: sigma of a place takes the ESF as known; a normal of its own for each colour gave 4.7
+    assert abs(square - 1) < 0.3 + 4 * np.sqrt(2 / shifts.size)
