@@ -191,7 +191,7 @@ def test_examples_of_the_readme_are_read(tmp_path):
     from pathlib import Path
 
     readme = (Path(__file__).resolve().parent.parent / "README.md").read_text()
-    camera, campaign, limits = re.findall(r"```toml\n(.*?)```", readme, re.S)
+    camera, campaign, curve, limits = re.findall(r"```toml\n(.*?)```", readme, re.S)
     shutil.copy(data_folder() / "pixel4a" / "qe.csv", tmp_path / "qe.csv")
     (tmp_path / "camera.toml").write_text(camera)
     model = isetval.load_model(tmp_path / "camera.toml")
@@ -204,6 +204,10 @@ def test_examples_of_the_readme_are_read(tmp_path):
     (tmp_path / "campaign.toml").write_text(campaign)
     found = isetval.load_campaign(tmp_path)
     assert [s.role for s in found.shots] == ["flat", "edge", "edge"]
+    (tmp_path / "relative_illumination.csv").write_text("radius_mm,ri_measured,ri_other\n0.5,0.95,1\n1.0,0.84,1\n")
+    (tmp_path / "campaign.toml").write_text(f'camera = "camera.toml"\n[light.sphere]\nradiance = 0.001\n{curve}')
+    given = isetval.load_campaign(tmp_path).shots[0].given
+    assert [(m.value, m.sigma, m.channel) for m in given.block.metrics] == [(0.95, 0.003, "G"), (0.84, 0.003, "G")]
     from isetval.app.limits import load_limits
 
     (tmp_path / "limits.toml").write_text(limits)

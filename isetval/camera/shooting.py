@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
-from isetval.core.campaign import Campaign, Shot
+from isetval.core.campaign import GIVEN_NUISANCES, Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
@@ -69,7 +69,8 @@ def simulate(
         if progress is not None:
             progress(shot.name, i + 1, len(plan.shots))
     made = {"model": model.name, "model_sha256": model.digest(), "seed": seed, "nuisances": values}
-    return replace(plan, captures=captures, sensor=model.sensor, provenance=dict(plan.provenance) | made)
+    shots = tuple(replace(shot, given=None) for shot in plan.shots)  # what somebody measured is not simulated
+    return replace(plan, shots=shots, captures=captures, sensor=model.sensor, provenance=dict(plan.provenance) | made)
 
 
 def shoot(
@@ -124,7 +125,9 @@ def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotS
     """A shot with its light and the sum of its nuisance values over all scopes."""
     nuisance: dict[str, float] = {}
     for prior in plan.nuisances:
-        if prior.of_camera or prior.scope == "frame" or not prior.applies_to(shot):
+        if prior.parameter in GIVEN_NUISANCES or prior.of_camera:
+            continue
+        if prior.scope == "frame" or not prior.applies_to(shot):
             continue
         value = values.get(prior.unknown(shot).label, 0.0)
         if value:

@@ -10,6 +10,7 @@ from typing import Any
 
 from isetval.core.captures import Captures, MemoryCaptures
 from isetval.core.errors import InputError
+from isetval.core.given import GivenMetrics
 from isetval.core.parameter import NuisanceKind, Parameter, split_key
 from isetval.core.region import Window
 from isetval.core.scene import Target
@@ -37,7 +38,12 @@ SHOT_NUISANCES = {
     "qe_green": NuisanceKind("relative", "quantum efficiency of green (or of MONO) in this light times (1 + value)"),
     "qe_blue": NuisanceKind("relative", "quantum efficiency of blue in this light times (1 + value)"),
     "wall_albedo": NuisanceKind("relative", "reflectance of the side walls of a rendered scene times (1 + value)"),
+    "scale": NuisanceKind("relative", "rows of a metrics file times (1 + value)"),
+    "offset": NuisanceKind("unit of the rows", "value added to the rows of a metrics file"),
+    "axis_stretch": NuisanceKind("relative", "radius, frequency or level of the rows of a metrics file times (1 + value)"),
 }
+GIVEN_NUISANCES = ("scale", "offset", "axis_stretch")
+"""Errors of whoever measured the rows of a metrics file: they act on those rows only, not on any light."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +62,7 @@ class Nuisance:
 
     ``parameter`` is one of `SHOT_NUISANCES` or ``effect.parameter`` of the camera model; ``sigma`` is
     the standard deviation around 0 (shot nuisances) or around the model's value; ``scope`` says what
-    shares one value.  ``roles`` and ``lights`` restrict it (empty: all).
+    shares one value.  ``roles``, ``lights`` and ``setups`` restrict it (empty: all).
     """
 
     parameter: str
@@ -66,6 +72,7 @@ class Nuisance:
     distribution: str = "normal"
     roles: tuple[str, ...] = ()
     lights: tuple[str, ...] = ()
+    setups: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"nuisance {self.parameter}"
@@ -85,7 +92,10 @@ class Nuisance:
 
     def applies_to(self, shot: Shot) -> bool:
         """Whether the shot is touched by this nuisance."""
-        return (not self.roles or shot.role in self.roles) and (not self.lights or (shot.light or "") in self.lights)
+        if self.parameter in GIVEN_NUISANCES and shot.given is None:
+            return False
+        found = ((self.roles, shot.role), (self.lights, shot.light or ""), (self.setups, shot.setup))
+        return all(not wanted or name in wanted for wanted, name in found)
 
     @property
     def of_camera(self) -> bool:
@@ -103,7 +113,7 @@ class Nuisance:
             name,
             scope=self.scope,
             group=shared[self.scope],
-            only=(*self.roles, *self.lights),
+            only=(*self.roles, *self.lights, *self.setups),
             unit=self.unit or kind.unit,
             prior=self.sigma,
             step=self.sigma,
@@ -122,6 +132,7 @@ class Shot:
     names the shot that this one repeats with a newly made set-up.  ``method`` and ``channel`` ask an estimator for
     another method than its own, or for one channel only: a simulation of the shot is then measured by the same.
     ``photons_per_pixel`` is what a calibrated light is stated to send to a pixel in one exposure (EMVA 1288).
+    ``given`` are metrics that somebody else measured of this set-up, in place of or beside captures.
     """
 
     name: str
@@ -142,6 +153,7 @@ class Shot:
     method: str = ""
     channel: str = ""
     photons_per_pixel: float | None = None
+    given: GivenMetrics | None = None
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:
@@ -197,8 +209,8 @@ class Campaign:
 
     @property
     def is_plan(self) -> bool:
-        """Whether no shot has captures."""
-        return not any(shot.name in self.captures for shot in self.shots)
+        """Whether no shot has captures or given metrics."""
+        return not any(shot.name in self.captures or shot.given is not None for shot in self.shots)
 
     @property
     def sessions(self) -> tuple[str, ...]:

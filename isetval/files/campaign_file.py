@@ -13,6 +13,7 @@ from isetval.camera.model_file import load_model, read_sensor
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
+from isetval.core.given import GivenMetrics
 from isetval.core.paths import inside, named_file
 from isetval.core.region import Window
 from isetval.core.scene import Target
@@ -21,15 +22,18 @@ from isetval.core.spectrum import Spectrum, read_spectra
 from isetval.core.toml import check_keys, number, numbers, read_toml, text, texts
 from isetval.files.captures import FileCaptures
 from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
+from isetval.files.metric_file import Reading, read_metrics
 from isetval.files.target_file import read_target
 
 _KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "notes")
+METRIC_KEYS = ("metric", "column", "sigma", "edge", "correlation_length", "covariance")
+"""Keys of a shot that say how its metrics file is read, beside method and channel."""
 _SHOT_KEYS = (
     "name", "role", "measurement_session", "setup", "light", "light_level", "exposure_s", "iso", "rotation_deg", "window",
     "size", "frames", "files", "target", "focus_um", "focus_m", "distance_m", "repeat_of", "method", "channel",
-    "photons_per_pixel", "notes",
+    "photons_per_pixel", "notes", "metrics", *METRIC_KEYS,
 )  # fmt: skip
-_NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "notes")
+_NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "setups", "notes")
 
 
 def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Campaign:
@@ -67,6 +71,11 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     shots = tuple(_shot(entry, f"{path}: [[shot]] number {i}", targets, path) for i, entry in enumerate(table["shot"], 1))
     shots = _found_repeats(_told_apart(shots, table["shot"]))
     sensor = sensor or _sensor_of_files(shots, path)
+    where = f"{path}: [[shot]] number"
+    shots = tuple(
+        replace(shot, given=_given(entry, f"{where} {i}", sensor, path)) if "metrics" in entry else shot
+        for i, (shot, entry) in enumerate(zip(shots, table["shot"], strict=True), 1)
+    )
     try:
         campaign = Campaign(
             name=text(table, "name", str(path), path.parent.name),
@@ -202,6 +211,7 @@ def _nuisance(entry: Any, where: str) -> Nuisance:
             distribution=text(entry, "distribution", where, "normal"),
             roles=texts(entry, "roles", where),
             lights=texts(entry, "lights", where),
+            setups=texts(entry, "setups", where),
         )
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
@@ -213,6 +223,8 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
     for file in files:
         if not inside(path.parent, file).is_file():
             raise InputError(f"{where}: names {file}, which is not in {path.parent}; correct the name or put the file there")
+    if orphan := [key for key in METRIC_KEYS if key in entry and "metrics" not in entry]:
+        raise InputError(f'{where}: {orphan[0]} says how a metrics file is read, and there is none; add metrics = "file.csv"')
     target = text(entry, "target", where)
     if target and target not in targets:
         raise InputError(f"{where}: target {target!r} is not described; the file has: {', '.join(targets) or 'none'}")
@@ -239,12 +251,33 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
             distance_m=_distance(entry, "distance_m", where),
             repeat_of=text(entry, "repeat_of", where) or None,
             files=files,
-            method=text(entry, "method", where),
-            channel=text(entry, "channel", where),
+            method="" if "metrics" in entry else text(entry, "method", where),
+            channel="" if "metrics" in entry else text(entry, "channel", where),
             photons_per_pixel=_optional(entry, "photons_per_pixel", where),
         )
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+
+
+def _given(entry: Mapping[str, Any], where: str, sensor: Sensor, path: Path) -> GivenMetrics:
+    """The metrics that a shot's file states."""
+    edge = entry.get("edge")
+    if edge is not None and (not isinstance(edge, int) or isinstance(edge, bool)):
+        raise InputError(f"{where}: edge is {edge!r}; it needs a whole number from 1")
+    how = Reading(
+        metric=text(entry, "metric", where),
+        column=text(entry, "column", where),
+        sigma=_optional(entry, "sigma", where),
+        channel=text(entry, "channel", where),
+        edge=edge,
+        method=text(entry, "method", where),
+        correlation_length=number(entry, "correlation_length", where, 0.0),
+        covariance=text(entry, "covariance", where),
+    )
+    try:
+        return read_metrics(path.parent, text(entry, "metrics", where), sensor, how)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def _told_apart(shots: tuple[Shot, ...], entries: Sequence[Mapping[str, Any]]) -> tuple[Shot, ...]:

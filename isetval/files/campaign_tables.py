@@ -83,6 +83,8 @@ def nuisance_table(nuisance: Nuisance) -> dict[str, Any]:
         table["roles"] = list(nuisance.roles)
     if nuisance.lights:
         table["lights"] = list(nuisance.lights)
+    if nuisance.setups:
+        table["setups"] = list(nuisance.setups)
     return table
 
 

@@ -19,6 +19,7 @@ from isetval.core.paths import PACKAGE_PREFIX, inside, named_file
 from isetval.core.sensor import Sensor
 from isetval.core.writing import write_whole
 from isetval.files.campaign_tables import Spectra, file_stem, light_table, nuisance_table, shot_table, target_table
+from isetval.files.metric_writer import written_metrics
 
 Shots = Iterable[tuple[Shot, Sequence[Capture]]]
 
@@ -171,7 +172,8 @@ def _write_tables(campaign: Campaign, folder: Path, files: Mapping[str, tuple[st
     names = _target_names(targets)
     if targets:
         document["target"] = {names[key]: target_table(target, names[key], spectra) for key, target in targets.items()}
-    _append(document, "shot", [shot_table(s, names.get(id(s.target), ""), files.get(s.name, ())) for s in campaign.shots])
+    shots = [(s, shot_table(s, names.get(id(s.target), ""), files.get(s.name, ()))) for s in campaign.shots]
+    _append(document, "shot", [table | written_metrics(s, folder) for s, table in shots])
     write_whole(folder / "campaign.toml", tomlkit.dumps(document))
     if campaign.provenance:
         import json

@@ -184,4 +184,6 @@ def input_hashes(campaign: Campaign) -> dict[str, str]:
     name = campaign.provenance.get("descriptor", "campaign.toml")
     file = None if campaign.folder is None else campaign.folder / str(name)
     own = {str(file): file_hash(file)} if file is not None and file.is_file() else {}
-    return own | dict(campaign.captures.hashes)
+    given = {name for shot in campaign.shots if shot.given is not None for name in shot.given.files}
+    tables = {str(campaign.folder / name): file_hash(campaign.folder / name) for name in given} if campaign.folder else {}
+    return own | tables | dict(campaign.captures.hashes)

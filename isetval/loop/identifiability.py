@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -77,7 +77,7 @@ def identify(
     InputError
         If the plan's sensor is not the model's, or nothing in it can be measured.
     """
-    shot = simulate(model, plan.as_plan(), seed=seed)
+    shot = _shot(model, plan, seed)
     with prepare(model, shot, jobs=jobs, say=say) as prepared:
         problem = prepared.problem
         fitted = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
@@ -101,3 +101,14 @@ def identify(
         close = [(by_name[a], by_name[b]) for a, b, _ in pairs[:MAX_PAIRS]]
         captures = tuple(next_captures(problem, fitted, close)) if with_next_captures else ()
         return Identifiability(tuple(rows), tuple(hidden), tuple(pairs), captures)
+
+
+def _shot(model: CameraModel, plan: Campaign, seed: int) -> Campaign:
+    """The plan as the model shoots it; metrics that are given instead of captures stay, with their covariance."""
+    told = [shot.name for shot in plan.shots if shot.given is not None and not shot.files]
+    rest = [shot.name for shot in plan.shots if shot.name not in told]
+    if not rest:
+        return plan.as_plan()
+    taken = simulate(model, plan.only(rest).as_plan(), seed=seed)
+    shots = (*taken.shots, *(shot for shot in plan.shots if shot.name in told))
+    return replace(taken, shots=shots)

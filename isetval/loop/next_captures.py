@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.errors import InputError
+from isetval.core.region import Window
 from isetval.core.scene import EdgeTarget
 from isetval.core.sensor import Exposure
 from isetval.core.spectrum import Spectrum
@@ -31,11 +32,12 @@ Float = NDArray[np.float64]
 REPLICAS = 3  # a proposal's covariance is needed to a factor, not to a percent
 KEEP = 6  # proposals that a person can weigh
 WORTH = 0.02  # smallest fall of the cosine that is told: above its own simulation error
+PART_PX = 96  # side of the windows that stand for a whole field
 
 
 def proposals(plan: Campaign) -> Iterator[tuple[str, Campaign]]:
     """Named extra captures for a plan, each as a small plan of its own."""
-    flats = [s for s in plan.shots if s.role == "flat"]
+    flats = [part for s in plan.shots if s.role == "flat" for part in _parts(s)]
     edges = [s for s in plan.shots if s.role == "edge"]
     charts = [s for s in plan.shots if s.role == "chart"]
     darks = [s for s in plan.shots if s.role == "dark"]
@@ -61,6 +63,17 @@ def proposals(plan: Campaign) -> Iterator[tuple[str, Campaign]]:
             "chart under three narrow-band lights",
             _plan(replace(plan, lights={**plan.lights, **narrow}), shots, "narrow", setup=None),
         )
+
+
+def _parts(flat: Shot) -> list[Shot]:
+    """The flat, or windows of a whole field that is only known from a table: whole frames would take minutes to simulate."""
+    window = flat.window
+    if flat.given is None or window is None or max(window.shape) <= 2 * PART_PX:
+        return [flat]
+    row, col = (n - PART_PX for n in window.shape)
+    places = [(0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.25, 0.75)]
+    corners = [(int(window.row0 + a * row) // 2 * 2, int(window.col0 + b * col) // 2 * 2) for a, b in places]
+    return [replace(flat, window=Window(r, c, PART_PX, PART_PX)) for r, c in corners]
 
 
 def _edge_proposals(plan: Campaign, edges: Sequence[Shot]) -> Iterator[tuple[str, Campaign]]:
@@ -112,7 +125,8 @@ def _plan(plan: Campaign, shots: Sequence[Shot], label: str, *, setup: str | Non
     new = []
     for i, shot in enumerate(shots):
         own = f"{label} {i}" if setup is None else label
-        new.append(replace(shot, name=f"{label} {i}", setup=own, repeat_of=None, files=(), **changes))  # type: ignore[arg-type]
+        changed = {"repeat_of": None, "files": (), "given": None, **changes}
+        new.append(replace(shot, name=f"{label} {i}", setup=own, **changed))  # type: ignore[arg-type]
     return replace(plan.as_plan(), shots=tuple(new), folder=None)
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.chain import FRONT, ShotSetup, mean_electrons
-from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import camera_with, shot_setup
 from isetval.core.cache import Remembered
@@ -31,6 +30,7 @@ from isetval.core.scene import RenderedTarget
 from isetval.core.store import Store
 from isetval.core.workers import single_worker
 from isetval.loop.gaussian import scatter
+from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, shoot, with_stated_covariance, with_systematic
 from isetval.loop.render_error import render_covariance
 from isetval.measure.campaign import measure_shot
 
@@ -106,6 +106,8 @@ class Predictor:
         measured = {m.shot for m in table.metrics}
         self.shots = tuple(shot for shot in self.plan.shots if shot.name in measured)
         self.rows = {shot.name: np.array([i for i, m in enumerate(table.metrics) if m.shot == shot.name]) for shot in self.shots}
+        self._row_keys = {name: [self.keys[i] for i in rows] for name, rows in self.rows.items()}
+        self._row_digest = {name: content_hash(keys) for name, keys in self._row_keys.items()}
         self.jobs = max(1, min(jobs, os.cpu_count() or 1))
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._memo = Store(repr((self.plan.name, [shot.name for shot in self.shots])))
@@ -129,7 +131,9 @@ class Predictor:
             shot = replace(shot, frames=1)
         mode: Mode = "capture" if not derivative else "expected" if how.noise_free else "derivative"
         choices = {key: made for key, made in self.table.choices.items() if key.startswith(f"{shot.name}/")}
-        return ShotPart(camera, shot_setup(self.plan, shot, values), seed, mode, choices)
+        choices = with_systematic(choices, self.plan, shot, values)
+        camera, setup = in_large_pixels(camera, shot_setup(self.plan, shot, values), choices)
+        return ShotPart(camera, setup, seed if is_noisy(shot, choices) else 0, mode, choices)
 
     def derivative_vectors(
         self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS, *, of_noise: bool = False
@@ -175,8 +179,9 @@ class Predictor:
             for shot in self.shots:
                 values[r, self.rows[shot.name]] = next(vectors)
         covariance = np.mean([_ordered(t.covariance(), self._order(t)) for t in tables], axis=0)
-        scale = scatter(values, covariance, self.table.metrics)
+        scale = scatter(values, measured_only(covariance, self.table), self.table.metrics)
         covariance = covariance * np.outer(scale, scale) + self._of_renders(tasks[: len(self.shots)])
+        covariance = with_stated_covariance(covariance, self.table, replicas)
         return Base(values.mean(axis=0), covariance, values, scale)
 
     def _of_renders(self, tasks: list[ShotPart]) -> Float:
@@ -195,7 +200,7 @@ class Predictor:
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
         """Measured values of each task; equal content is simulated once."""
-        keys = [content_hash((_content(task), self._rows_of(task))) for task in tasks]
+        keys = [content_hash((_content(task), self._row_digest[task.setup.shot.name])) for task in tasks]
         missing: dict[str, ShotPart] = {}
         for key, task in zip(keys, tasks, strict=True):
             if self._memo.get(key) is None:
@@ -206,7 +211,7 @@ class Predictor:
         return [self._memo.items[key] for key in keys]
 
     def _rows_of(self, task: ShotPart) -> list[Any]:
-        return [self.keys[i] for i in self.rows[task.setup.shot.name]]
+        return self._row_keys[task.setup.shot.name]
 
     def _run(self, function: Any, tasks: list[ShotPart], extra: Any = None) -> list[Any]:
         jobs = [(task, extra(task)) if extra else (task,) for task in tasks]
@@ -250,7 +255,9 @@ def _vector_of(task: ShotPart, keys: Sequence[Any]) -> Float:
     mean = mean_electrons(task.model, task.setup)
     rest = tuple(e.content() for e in task.model.effects if e.stage not in FRONT)
     shot = task.setup.shot
-    key = content_hash((mean, rest, shot.name, shot.frames, task.seed, task.mode, task.choices, list(keys), task.model.sensor))
+    key = content_hash(
+        (mean, rest, shot.name, shot.frames, task.seed, task.mode, task.choices, hash(tuple(keys)), task.model.sensor)
+    )
     found = _MEASURED.get(key)
     if found is None:
         values = {m.key(): m.value for block in _blocks_of(task) for m in block.metrics}
@@ -284,7 +291,7 @@ def _joint_differences(table: MetricTable, shot: str) -> Differences:
 
 
 def _blocks_of(task: ShotPart) -> list[Block]:
-    captures = expose(task.model, task.setup, task.seed, mode=task.mode)
+    captures = shoot(task.model, task.setup, task.seed, mode=task.mode, choices=task.choices)
     try:
         return [block for _, block in measure_shot(task.setup.shot, captures, choices=task.choices)]
     except InputError:

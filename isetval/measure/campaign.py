@@ -13,6 +13,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, MetricTable
+from isetval.measure.given import given_block, same_rows
 from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
 
@@ -59,14 +60,15 @@ def measure_campaign(
     Returns
     -------
     MetricTable
-        What cannot be measured is left out and listed in ``notes`` with its reason: files, analyses of a shot, shots.
+        Rows of metrics files are listed as given.  What cannot be measured is left out and listed in ``notes`` with its
+        reason: files, analyses of a shot, shots.
 
     Raises
     ------
     InputError
         If no shot of the campaign can be measured.
     """
-    notes: list[str] = []
+    notes: list[str] = [*campaign.notes]
     blocks: list[Block] = []
     about: list[Block] = []
     frames: dict[str, Sequence[Capture]] = {}
@@ -74,6 +76,10 @@ def measure_campaign(
     held = 0
     for i, shot in enumerate(campaign.shots):
         captures = campaign.captures.read(shot.name)
+        given = _listed(shot, notes, alone=not captures)
+        if given.metrics:
+            blocks.append(given)
+            made[f"{shot.name}/given"] = dict(given.choices)
         if captures:
             known = _with_patch_options(shot, choices or {}, patches)
             for name, block in _analyzed(shot, captures, known, notes):
@@ -85,7 +91,7 @@ def measure_campaign(
             if summaries and wanted(shot):
                 held += sum(capture.mosaic.size for capture in captures) if held < HELD_PIXELS else 0
                 frames[shot.name] = captures if held <= HELD_PIXELS else campaign.captures.later(shot.name)
-        else:
+        elif not given.metrics:
             notes.append(f"shot {shot.name} left out: {_why_none(campaign, shot)}")
         if progress is not None:
             progress(shot.name, i + 1, len(campaign.shots))
@@ -108,6 +114,15 @@ def _with_patch_options(shot: Shot, choices: Mapping[str, Any], patches: Mapping
     if patches and patches.get("method") != "lyu2022" and key not in known:
         known[key] = {"options": dict(patches)}
     return known
+
+
+def _listed(shot: Shot, notes: list[str], *, alone: bool) -> Block:
+    """The rows of a shot's metrics file; none with a note where its role cannot be measured for them."""
+    try:
+        return given_block(shot, alone=alone, modules=analyses(shot.role))
+    except InputError as error:
+        notes.append(f"shot {shot.name}: its metrics are left out: {error}")
+        return Block(())
 
 
 def _why_none(campaign: Campaign, shot: Shot) -> str:
@@ -137,8 +152,16 @@ def _analyzed(
 
 
 def measure_shot(shot: Shot, captures: Sequence[Capture], *, choices: Mapping[str, Any] | None = None) -> list[tuple[str, Block]]:
-    """The blocks of one shot, by analysis."""
+    """The blocks of one shot, by analysis.
+
+    Where ``choices`` hold given metrics of the shot, their rows are measured too, or alone if it has no captures of its own.
+    """
     out = []
+    given = (choices or {}).get(f"{shot.name}/given")
+    if given is not None:
+        out.append(("given", same_rows(shot, captures, given, analyses(shot.role))))
+        if given["alone"]:
+            return out
     for module in analyses(shot.role):
         name = module.__name__.rsplit(".", 1)[-1]
         block: Block = module.analyze(shot, captures, (choices or {}).get(f"{shot.name}/{name}", {}))

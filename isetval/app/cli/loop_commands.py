@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.cli.console import Console
+from isetval.app.cli.curves import curve_options, shots_of
 from isetval.app.cli.outcome import FINE, OUTSIDE_LIMITS, Outcome
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         "compare", parents=[jobs], help="where does a model fail (several models: the ladder)", description=compare.__doc__
     )
     p.add_argument("models", nargs="+", metavar="MODEL", help="camera models (TOML); the last word is the campaign")
-    p.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and captures")
+    p.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and captures, or a curve (--as)")
+    curve_options(p)
     p.add_argument("--limits", type=Path, help="TOML file of limits on the families (column mean_square_z); outside: exit code 1")
     p.set_defaults(handler=compare, writes_result=True)
     p = commands.add_parser(
@@ -41,8 +43,9 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         description=diagnose.__doc__,
     )
     p.add_argument("model", metavar="MODEL")
-    p.add_argument("campaign", metavar="CAMPAIGN")
+    p.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and captures, or a curve (--as)")
     p.add_argument("--holdout", metavar="CAMPAIGN", help="captures to confirm on (default: the second measurement session)")
+    curve_options(p)
     p.set_defaults(handler=diagnose, writes_result=True)
     _register_add(commands, common)
 
@@ -81,14 +84,17 @@ def default_jobs() -> int:
     return min(2, os.cpu_count() or 1)
 
 
-def load_both(model: str, campaign: str) -> tuple[CameraModel, Campaign, dict[str, str]]:
-    """A model, a campaign and the hashes of their own files; those of captures are known once they are measured."""
+def load_both(model: str, campaign: str, args: argparse.Namespace | None = None) -> tuple[CameraModel, Campaign, dict[str, str]]:
+    """A model, a campaign (or a curve, where ``args`` say so) and the hashes of their own files.
+
+    Those of captures are known once they are measured.
+    """
     import isetval
     from isetval.core.hashing import file_hash
     from isetval.files.captures import input_hashes
 
     loaded = isetval.load_model(model)
-    shots = isetval.load_campaign(campaign, camera=loaded)
+    shots = shots_of(loaded, campaign, args)
     file = Path(model) / "camera.toml" if Path(model).is_dir() else Path(model)
     return loaded, shots, {str(file): file_hash(file)} | input_hashes(shots)
 
@@ -106,7 +112,8 @@ def simulate(args: argparse.Namespace, console: Console) -> Outcome:
     model, plan, inputs = load_both(args.model, args.plan)
     values = draw_nuisances(plan, args.seed) if args.draw else {}
     made = {"model": model.name, "model_sha256": model.digest(), "seed": args.seed, "nuisances": values}
-    campaign = replace(plan.as_plan(), sensor=model.sensor, provenance=made)
+    shot = tuple(replace(s, given=None) for s in plan.shots)  # what somebody measured is not simulated
+    campaign = replace(plan.as_plan(), shots=shot, sensor=model.sensor, provenance=made)
     total = len(plan.shots)
 
     def shots() -> Any:
@@ -139,7 +146,7 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.core.hashing import file_hash
 
     limits = load_limits(args.limits) if args.limits else ()
-    model, campaign, inputs = load_both(args.models[0], args.campaign)
+    model, campaign, inputs = load_both(args.models[0], args.campaign, args)
     models = [model, *(isetval.load_model(m) for m in args.models[1:])]
     inputs |= {m: file_hash(m) for m in args.models if Path(m).is_file()}
     found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say)
@@ -181,8 +188,8 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.app.cli.loop_words import diagnosis_lines
     from isetval.files.captures import input_hashes
 
-    model, campaign, inputs = load_both(args.model, args.campaign)
-    holdout = isetval.load_campaign(args.holdout, camera=model) if args.holdout else None
+    model, campaign, inputs = load_both(args.model, args.campaign, args)
+    holdout = shots_of(model, args.holdout, args) if args.holdout else None
     found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say)
     inputs |= campaign.captures.hashes
     inputs |= input_hashes(holdout) if holdout is not None else {}

@@ -32,6 +32,7 @@ QUANTITIES = {
     "gradient_row_dn": ("gradient", "DN"),
     "gradient_column_dn": ("gradient", "DN"),
 }
+GIVES = ("mean", "temporal_variance", "row_noise_variance", "fixed_pixel_variance", "fixed_row_variance", "fixed_column_variance")
 COUNTS = {"outlier_fraction": ("outliers", 0.85), "noisy_pixel_fraction": ("noisy_pixels", 0.5)}
 """Counts of pixels, and the share of their variance that all counts of a window have in common: a hot
 pixel that stands out at 0.5 s does so at 2 s too (nested Poisson counts: correlation sqrt(n1 / n2)) and is

@@ -16,6 +16,7 @@ from isetval.measure.color import line_profile, patches_over_frames
 from isetval.measure.conditions import metric, shot_conditions, window_label
 
 ROLES = ("chart", "scene")
+GIVES = ("patch_mean", "line_profile")
 LINE_STEPS = 12  # the paper's six gray patches of a row, twice each
 CLIPPED_SHARE = 0.001  # a patch of fewer than 1000 pixels may hold no clipped one
 LEAST_SIGMA_DN = 1e-3  # of noise-free simulations, whose rounding errs by more

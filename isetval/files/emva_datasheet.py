@@ -1,0 +1,80 @@
+"""Results of EMVA 1288: the XML of the reference implementation, or a CSV of symbol, value, unit.
+
+XML after its public source (process/results.py, routines.py: dict_to_xml): a root ``results`` whose elements bear the names
+of the quantities, with ``value``, ``unit`` or ``units`` inside, directly or one level down in sections; decimal commas occur.
+The CSV has a header with ``symbol`` and ``value``; the standard prescribes none.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+
+from isetval.core.errors import InputError
+from isetval.files.given_rows import GivenRow, GivenTable, numbers, table_lines
+
+QUANTITIES = {
+    "k": ("conversion_gain", "DN/e-"),
+    "sigma_d": ("temporal_dark_noise", "e-"),
+    "dsnu1288": ("dsnu", "e-"),
+    "dsnu": ("dsnu", "e-"),
+    "prnu1288": ("prnu", "%"),
+    "prnu": ("prnu", "%"),
+}
+"""Quantities that a simulation is measured for as well; others (quantum efficiency needs a photon flux) are left out."""
+
+
+def recognises(text: str) -> bool:
+    """Whether it is an XML of results, or a CSV with the symbols of the standard."""
+    if text.lstrip().startswith("<"):
+        return re.search(r"<results\b", text[:500]) is not None
+    lines = table_lines(text)
+    head = [cell.lower() for cell in lines[0]] if lines else []
+    return "symbol" in head and "value" in head
+
+
+def read(text: str, where: str) -> GivenTable:
+    """Gain, dark noise, DSNU and PRNU, as far as they are there.
+
+    Raises
+    ------
+    InputError
+        If the XML is broken or none of the quantities is in it.
+    """
+    found = dict(_of_xml(text, where) if text.lstrip().startswith("<") else _of_csv(text, where))
+    rows, left = [], []
+    for symbol, value in found.items():
+        if symbol.lower() in QUANTITIES:
+            name, unit = QUANTITIES[symbol.lower()]
+            rows.append(GivenRow(name, value, unit=unit))
+        else:
+            left.append(symbol)
+    if not rows:
+        raise InputError(f"{where}: holds {', '.join(left) or 'no quantity'}; one of K, sigma_d, DSNU1288, PRNU1288 is needed")
+    return GivenTable(tuple(rows), "own", f"EMVA 1288 (left out: {', '.join(left) or 'nothing'})")
+
+
+def _of_xml(text: str, where: str) -> Iterator[tuple[str, float]]:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(f"{where}: declares a document type, which results do not need; remove it")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{where}: is no XML ({error})") from None
+    for element in root.iter():
+        value = next((child for child in element if child.tag.lower() == "value"), None)
+        read = numbers([(value.text or "").replace(",", ".")]) if value is not None else None
+        if read is not None and read[0] == read[0]:
+            yield element.tag, read[0]
+
+
+def _of_csv(text: str, where: str) -> Iterator[tuple[str, float]]:
+    lines = table_lines(text)
+    head = [cell.lower() for cell in lines[0]]
+    symbol, value = head.index("symbol"), head.index("value")
+    for i, cells in enumerate(lines[1:], 2):
+        read = numbers([cells[value]]) if len(cells) > max(symbol, value) else None
+        if read is None:
+            raise InputError(f"{where}: line {i} has no number in the column value")
+        yield cells[symbol], read[0]
