@@ -110,7 +110,7 @@ def measure_campaign(
 
 def _with_patch_options(shot: Shot, choices: Mapping[str, Any], patches: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """The choices, and options of uniform patches among them unless they are those of the published rule, a summary."""
-    key, known = f"{shot.name}/patch_noise", dict(choices)
+    key, known = f"{shot.name}/noise_by_level", dict(choices)
     if patches and patches.get("method") != "lyu2022" and key not in known:
         known[key] = {"options": dict(patches)}
     return known

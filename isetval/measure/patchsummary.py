@@ -1,7 +1,7 @@
 """What people quote of the uniform patches of chart and scene shots: how many were fit, their levels, the published rule.
 
 The patches hold the same pixels as the rows of their shot, so these rows are marked ``summary`` and left out of comparisons;
-noise against level itself is an analysis (`analyses.patch_noise`).
+noise against level itself is an analysis (`analyses.noise_by_level`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.metric import Block, Metric
-from isetval.measure.analyses.patch_noise import BINS, ROLES, choose_levels, patches_by_channel
+from isetval.measure.analyses.noise_by_level import BINS, ROLES, choose_levels, patches_by_channel
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.noise.patch_noise import Patch
 

@@ -12,7 +12,7 @@ from isetval.core.campaign import Shot
 from isetval.core.errors import InputError
 from isetval.core.paths import data_folder
 from isetval.core.scene import ChartTarget
-from isetval.measure.analyses.patch_noise import analyze
+from isetval.measure.analyses.noise_by_level import analyze
 from isetval.measure.patchsummary import patch_summary
 
 sys.path.insert(0, str(Path(__file__).parent / "noise"))
@@ -106,7 +106,7 @@ def test_a_campaign_holds_them_beside_its_rows():
     with_patches, without = measure_campaign(captures), measure_campaign(captures, summaries=False)
     rows = [m for m in with_patches.metrics if m.name == "uniform_patch_noise"]
     assert {m.channel for m in rows} == {"R", "Gr", "Gb", "B"}
-    assert {m.family for m in rows} == {"chart_patch_noise"}
+    assert {m.family for m in rows} == {"chart_noise_by_level"}
     assert not any(m.summary for m in rows)
     assert any(m.summary and m.name == "uniform_patch_mean" for m in with_patches.metrics)
     assert [m.key() for m in without.metrics] == [m.key() for m in with_patches.metrics if not m.summary]
@@ -124,7 +124,7 @@ def test_compare_and_noise_of_a_chart():
     plan = replace(plan, shots=(replace(shot, frames=2),))
     noisy = replace(model.with_values({"read_noise.sigma_e": 9.0}), name="noisy")
     table = compare([model, noisy], simulate(model, plan, seed=4)).table
-    rows = table[table.family == "chart_patch_noise"]
+    rows = table[table.family == "chart_noise_by_level"]
     assert len(rows) == 2 * 4 * 8
     own, other = (rows[rows.model == name].z.to_numpy() for name in (table.model.unique()))
     # 32 numbers, and sigmas that sixteen replicas scale to 6 %

@@ -101,6 +101,6 @@ def _noise_row(conditions: dict[str, Any], shot: Shot, channel: str, region: str
     dof = np.array([p.temporal_std_dn**2 / (2 * p.sigma_dn**2) if p.sigma_dn > 0 else math.inf for p in patches])
     noise = math.sqrt(float(variance.mean()))
     sigma = math.sqrt(float(np.sum(2 * variance**2 / (dof + 2)))) / len(patches) / (2 * noise) if noise > 0 else 0.0
-    family = f"{shot.role}_patch_noise"
+    family = f"{shot.role}_noise_by_level"
     sigma = max(sigma, LEAST_SIGMA_DN)
     return metric(conditions, "uniform_patch_noise", noise, sigma, "DN", channel=channel, region=region, family=family)
