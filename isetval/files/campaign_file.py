@@ -111,7 +111,7 @@ class _PlacedReader:
         from isetval.files.dng import place_on_sensor
 
         shot, path = self.shots[name], self.folder / file
-        capture = read_capture(path)
+        capture = read_capture(path, channel=shot.channel or None)
         _check_exposure(capture.exposure, shot, path)
         window = shot.window or Window(0, 0, *capture.mosaic.shape)
         whole = capture.mosaic.shape == (self.sensor.rows, self.sensor.cols)

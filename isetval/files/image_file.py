@@ -23,6 +23,7 @@ from isetval.files.sidecar import Sidecar, read_sidecar
 
 SUFFIXES = (".tif", ".tiff", ".png", ".npy")
 MOST_SAMPLES = 2**28  # 268 million: 90 MP of three channels; half a gigabyte
+FREE_BYTES, MOST_BYTES_PER_BYTE = 2**26, 100  # decoded: 64 MB whatever the file's size, above that 100 times it
 UNKNOWN_PITCH_UM = 1.0  # as the DNG reader: "mm" then mean thousands of pixels, and a remark says so
 LINEARIZED_WHITE = 65535  # an sRGB picture is decoded to 16 bits
 REMEDY = "save it as an uncompressed TIFF of 8 or 16 bits, or as .npy"
@@ -108,9 +109,13 @@ def _decoded(path: Path, data: bytes) -> tuple[str, NDArray[Any]]:
     return kind, samples
 
 
-def _check_size(path: Path, samples: int) -> None:
+def _check_size(path: Path, samples: int, sample_bytes: int, data: bytes) -> None:
+    """Refuse what is too large, and what a few bytes blow up to."""
     if samples > MOST_SAMPLES:
         raise refusal(path, f"the picture has {samples} samples", f"at most {MOST_SAMPLES}", "cut it into parts")
+    if samples * sample_bytes > FREE_BYTES + MOST_BYTES_PER_BYTE * len(data):
+        found = f"a file of {len(data)} bytes says it holds {samples} samples of {sample_bytes} bytes"
+        raise refusal(path, found, f"at most {MOST_BYTES_PER_BYTE} times the file's size", "save it uncompressed")
 
 
 def _tiff(path: Path, data: bytes) -> NDArray[Any]:
@@ -136,7 +141,7 @@ def _tiff(path: Path, data: bytes) -> NDArray[Any]:
 
 def _check_page(path: Path, page: Any, data: bytes) -> None:
     """Refuse what would be misread without a word: other meanings of a sample, and pieces that are not there."""
-    _check_size(path, int(np.prod(page.shape, dtype=float)))
+    _check_size(path, int(np.prod(page.shape, dtype=float)), page.dtype.itemsize if page.dtype else 2, data)
     if int(page.photometric) == 0:
         raise refusal(path, "0 is white in this TIFF (MinIsWhite)", "0 for black", REMEDY)
     if int(page.photometric) == 3:
@@ -156,7 +161,7 @@ def _png(path: Path, data: bytes) -> NDArray[Any]:
         raise refusal(path, "the PNG has no header", "a whole picture", "copy it again")
     cols, rows = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     bits, kind = data[24], data[25]
-    _check_size(path, rows * cols * {0: 1, 2: 3, 6: 4}.get(kind, 2))
+    _check_size(path, rows * cols * {0: 1, 2: 3, 6: 4}.get(kind, 2), 1 + bits // 16, data)
     if kind not in (0, 2, 6) or bits not in (8, 16):
         words = {3: "a palette", 4: "grey levels with transparency"}.get(kind, f"{bits} bits a sample")
         raise refusal(path, f"the PNG has {words}", "levels of 8 or 16 bits, grey or RGB", REMEDY)
@@ -190,7 +195,7 @@ def _npy(path: Path, data: bytes) -> NDArray[Any]:
     except Exception as error:  # NumPy parses it as a Python literal, with any error of a parser
         raise refusal(path, f"the .npy header cannot be read ({_short(error)})", "a whole file", "write it again") from None
     number = int(np.prod([int(n) for n in shape], dtype=object)) if shape else 1
-    _check_size(path, number)
+    _check_size(path, number, kind.itemsize, data)
     if kind.kind not in "uif" or kind.hasobject:
         raise refusal(path, f"its values are {kind}", "whole numbers", "convert them: array.astype(numpy.uint16)")
     if stream.tell() + number * kind.itemsize > len(data):
@@ -213,7 +218,7 @@ def _one_channel(said: _Said, channel: str) -> _Said:
         raise InputError(f"{said.path}: channel is {channel!r}; a demosaiced picture has R, G and B")
     samples = said.samples[..., "RGB".index(channel)]
     provenance = said.provenance | {"channel": f"{channel} of a demosaiced picture", "encoding": about.encoding}
-    words = "a channel of a demosaiced picture: a third to a half of its pixels are interpolated, which blurs edges and noise"
+    words = "a channel of a demosaiced picture: half of green and three quarters of red and blue are interpolated"
     remarks = (*said.remarks, Remark("demosaiced", words))
     about = replace(about, cfa="MONO")
     if about.encoding == "srgb":

@@ -296,8 +296,11 @@ def series_shots(facts: Sequence[FileFacts], asked: Asked) -> tuple[Shot, ...]:
     return tuple(shots)
 
 
-def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None) -> Reader:
-    """How files are read: DNG by their tags, pictures by their sidecars, headerless raw by what the person says."""
+def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None, channel: str = "") -> Reader:
+    """How files are read: DNG by their tags, pictures by their sidecars, headerless raw by what the person says.
+
+    ``channel`` is the one of a demosaiced picture; a mosaic is read whole.
+    """
     from isetval.files.capture_file import read_capture
     from isetval.files.headerless_file import read_raw
 
@@ -306,6 +309,6 @@ def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None) ->
             return read_raw(path, **raw)
         if path.is_dir():
             raise InputError(f"{path}: is a folder; name files")
-        return read_capture(path, black=black)  # type: ignore[arg-type]
+        return read_capture(path, black=black, channel=channel or None)  # type: ignore[arg-type]
 
     return read

@@ -14,6 +14,7 @@ from isetval import Capture, InputError, Sensor, read_capture, read_image
 from isetval.core.sensor import BAYER_PATTERNS
 from isetval.files.dng import write_dng
 from isetval.files.libraw_file import read_libraw
+from isetval.files.loose_files import file_reader
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
 LEVELS = {"cfa": "GBRG", "black_dn": [60, 61, 62, 63], "white_dn": 4095, "pixel_um": 3.45, "exposure_s": 0.1}
@@ -205,6 +206,7 @@ def npy_header(shape, kind):
     [
         (npy_header((2**20, 2**20), "<u2"), "at most 268435456"),
         (npy_header((40, 50), "<u2") + bytes(3999), "cut off"),
+        (npy_header((2**13, 2**13), "<u2"), "at most 100 times"),
         (npy_header((40, 50), "|O") + bytes(16000), "whole numbers"),
         (npy_header((40, 50, 2), "|u1") + bytes(4000), "shape 40 x 50 x 2"),
         (npy_header((), "|u1") + bytes(1), "shape"),
@@ -273,6 +275,27 @@ def test_a_campaign_of_pictures_measures_as_one_of_dngs(tmp_path):
     rows = [[(m.name, m.channel, m.shot, m.value, m.sigma) for m in table.metrics] for table in tables]
     assert rows[0] == rows[1]
     assert len(rows[0]) > 20
+
+
+def test_a_channel_asked_for_on_the_command_line(tmp_path):
+    """`isetval measure rgb.tif --role edge --channel G`; a mosaic is read whole, its channel is the estimator's."""
+    path = written(tmp_path / "a.tif", RGB)
+    (tmp_path / "images.toml").write_text('cfa = "RGGB"\nblack_dn = 0\nbits = 12\nencoding = "linear"\n')
+    np.testing.assert_array_equal(file_reader(channel="G")(path).mosaic, RGB[..., 1])
+    mosaic = written(tmp_path / "b.tif", MOSAIC)
+    np.testing.assert_array_equal(file_reader(channel="Gr")(mosaic).mosaic, MOSAIC)
+
+
+@pytest.mark.parametrize("kind", ["tif", "png"])
+def test_a_few_bytes_that_blow_up(tmp_path, kind):
+    """11,000 x 11,000 zeros deflate to a thousandth."""
+    path = tmp_path / f"a.{kind}"
+    if kind == "tif":
+        tifffile.imwrite(path, np.zeros((11_000, 11_000), np.uint8), compression="zlib", rowsperstrip=11_000)
+    else:
+        path.write_bytes(png((11_000, 11_000, 8, 0), bytes(120_000)))
+    with pytest.raises(InputError, match=r"says it holds 121000000 samples of 1 bytes; isetval needs at most 100 times"):
+        read_image(path, LEVELS)
 
 
 def test_unknown_suffix(tmp_path):

@@ -221,7 +221,7 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
     black = args.black or ("auto" if single else "tag")
     console.say(f"measuring {len(paths)} files")
     asked = Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e)
-    read = file_reader(black=black, raw=raw)
+    read = file_reader(black=black, raw=raw, channel=args.channel)
     found = measure_files(paths, read=read, asked=asked, progress=console.progress)
     rows = [metric_row(m, m.sigma, file=file) for file, m in found.metrics]
     result = {
