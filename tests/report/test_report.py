@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from isetval.app.report import report_html, write_report
+from isetval.app.report.family_plots import family_plot
 from isetval.app.words import shortfall_words
 from isetval.core.errors import InputError
 
@@ -77,6 +78,45 @@ def test_the_first_screen_answers_the_four_questions(results):
     assert "How the error fell" in words
 
 
+def test_what_fails_is_drawn_first_with_its_band_and_every_model(results):
+    page = report_html(results)
+    section = page.split("<h2>What fails, worst first</h2>")[1].split("<h2>")[0]
+    assert re.findall(r"<b>(.*?)</b>", section) == ["flat mean"]  # the only family that fails
+    assert section.count('data-model="0"') == section.count('data-model="1"') == 1
+    assert section.count('class="sigma') == 4  # a band for each plane
+    assert page.index("What fails") < page.index("<h2>Residuals</h2>")
+
+
+@pytest.mark.parametrize(
+    ("conditions", "label"),
+    [
+        (lambda i: {"frequency_cy_px": 0.05 * (1 + i // 4), "shot": "edge"}, "frequency, cy/px"),
+        (lambda i: {"patch": f"patch {i // 4}"}, "patch"),
+        (lambda i: {"exposure_s": 0.001 * 2 ** (i // 4), "field_x_mm": 0.0}, "exposure"),
+        (lambda i: {"exposure_s": 0.01, "field_x_mm": 0.5 * (i // 4)}, "field radius, mm"),
+        (lambda i: {"field_x_mm": None}, "shot"),
+    ],
+    ids=["frequency", "patch", "exposure", "radius", "shot"],
+)
+def test_any_family_is_drawn_over_the_condition_that_varies(conditions, label):
+    rows = [_metric("m", "odd_family", 2.0, i, **conditions(i)) for i in range(24)]
+    plot = family_plot("odd_family", [rows])
+    assert label in plot.svg
+    assert plot.hint == ""
+    assert len(re.findall(r"<polyline", plot.svg)) + len(re.findall(r"<circle", plot.svg)) >= 4
+
+
+def test_of_many_curves_the_worst_are_drawn():
+    rows = [
+        _metric("m", "mtf", float(edge), i, shot=f"edge{edge}", channel="G", name="mtf", frequency_cy_px=0.05 * (1 + i))
+        for edge in range(20)
+        for i in range(10)
+    ]
+    plot = family_plot("mtf", [rows])
+    assert plot.hint == "the 6 curves that fit worst, of 20"
+    assert len(re.findall(r"<polyline", plot.svg)) == 6
+
+
 def test_the_page_asks_nothing_of_the_network(results, tmp_path):
     page = write_report(results, tmp_path / "r.html").read_text()
     assert not re.findall(r"(?:src|href|action)\s*=\s*[\"'](?!#|data:)[^\"']+", page)
@@ -132,8 +172,11 @@ def test_a_click_changes_the_plots_in_a_browser(results, tmp_path):
 window.addEventListener("load", function () {
   var shown = function () { return document.querySelectorAll('.layer:not(.off)[data-model="0"]').length; };
   var before = shown();
-  document.querySelector('[data-show="0"]').click();
-  document.title = "layers " + before + " " + shown();
+  document.querySelector('[data-show="1"]').click();
+  var after = shown(), mark = document.querySelector('.plot circle[tabindex]');
+  mark.dispatchEvent(new Event("focus"));
+  var told = document.querySelector(".told").textContent;
+  document.title = "layers " + before + " " + after + " " + (told === mark.querySelector("title").textContent);
 });
 </script>
 </body>"""
@@ -152,12 +195,13 @@ window.addEventListener("load", function () {
         done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     except subprocess.TimeoutExpired:
         pytest.skip("Chromium does not start on this machine")
-    found = re.search(r"<title>layers (\d+) (\d+)</title>", done.stdout)
+    found = re.search(r"<title>layers (\d+) (\d+) (\w+)</title>", done.stdout)
     if found is None and not done.stdout.strip():
         pytest.skip("Chromium does not start on this machine")
     assert found is not None
-    assert int(found[1]) == 0
-    assert int(found[2]) > 0
+    assert int(found[1]) > 0  # the page opens on "before"
+    assert int(found[2]) == 0
+    assert found[3] == "true"  # a mark says what it is without a mouse
 
 
 @pytest.mark.parametrize(

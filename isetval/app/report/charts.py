@@ -83,14 +83,15 @@ def residual_plot(family: str, by_model: Sequence[Sequence[Row]]) -> str:
     top = max(5.0, min(60.0, max(abs(r["z"]) for r in usable)))
     area = svg.frame((min(xs), max(xs)), (-top, top), log_x=kind == "log" and min(xs) < max(xs))
     band = svg.rect(area.x.start, area.y(2), area.x.end - area.x.start, area.y(-2) - area.y(2), "band")
-    ticks = _thinned(names) if names else ()
+    ticks = thinned(names) if names else ()
     body = band + area.axes(label, "z", x_names=ticks) + svg.line(area.x.start, area.y(0), area.x.end, area.y(0), "one")
     for i, part in enumerate(by_model):
         body += f'<g class="layer" data-model="{i}">{_points(area, part, place, kind)}</g>'
     return area.svg(body, f"Residuals of {family} in standard deviations over {label}")
 
 
-def _thinned(names: Sequence[str], room: int = 7) -> list[str]:
+def thinned(names: Sequence[str], room: int = 7) -> list[str]:
+    """Names for an axis with room for a few of them."""
     every = max(1, math.ceil(len(names) / room))
     return [_short(name) if i % every == 0 else "" for i, name in enumerate(names)]
 
@@ -109,13 +110,14 @@ def _points(area: svg.Frame, rows: Sequence[Row], place: Callable[[Row], Any], k
         spot = (area.x(float(at)), area.y(row["z"]))
         colour = PLANE_CLASS.get(row["channel"], "grey")
         if abs(row["z"]) > FAR_Z:
-            out.append(svg.circle(*spot, f"far {colour}", _row_words(row)))
+            out.append(svg.circle(*spot, f"far {colour}", row_words(row)))
         else:
             planes.setdefault(colour, []).append(spot)
     return "".join(svg.dots(spots, colour) for colour, spots in planes.items()) + "".join(out)
 
 
-def _row_words(row: Row) -> str:
+def row_words(row: Row) -> str:
+    """One metric with both sides and z."""
     where = " ".join(str(row[k]) for k in ("shot", "channel", "region", "patch") if row.get(k))
     values = f"measured {row['measured']:.5g}, simulated {row['simulated']:.5g} {row['unit']}"
     return f"{row['name']} {where}: {values}, z {row['z']:+.1f}"

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from isetval.app.report import charts
+from isetval.app.report.family_plots import family_plot
 from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, shortfall_words, state_of, with_sigma
 
 Row = Mapping[str, Any]
@@ -55,6 +56,7 @@ def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "models": models,
         "ladder": _ladder_table(models, columns, families),
         "in_sample": _in_sample(diagnosis),
+        "failing_views": _failing_views(by_model, columns),
         "views": _views(by_model),
         "residuals": _residuals(by_model, families),
         "candidates": _candidates(diagnosis),
@@ -149,8 +151,6 @@ def _failing(
     """The families in which the first model fails, worst first, with their worst place."""
     if not columns:
         return []
-    rows = [row for name, row in columns[0].items() if name != "all" and state_of(row["mean_square_z"], row["n"]) == "fails"]
-    rows.sort(key=lambda row: -row["mean_square_z"])
     return [
         {
             "family": row["family"].replace("_", " "),
@@ -158,7 +158,7 @@ def _failing(
             "error": relative_words(row),
             "worst": _worst(comparison, models[0], row["family"]),
         }
-        for row in rows[:5]
+        for row in _failing_rows(columns)[:5]
     ]
 
 
@@ -248,6 +248,30 @@ def _in_sample(diagnosis: Mapping[str, Any] | None) -> list[str]:
         if r["role"] == "calibration" and r["family"] == "all" and r["mean_square_z"] is not None
     ]
     return [f"{row['mean_square_z']:.3f} {'after' if i else 'before'}" for i, row in enumerate(rows)]
+
+
+def _failing_views(
+    by_model: Sequence[Sequence[Row]], columns: Sequence[Mapping[str, Row]], count: int = 4
+) -> list[dict[str, str]]:
+    """Measured and simulated of the families in which the first model fails, the worst first."""
+    if not by_model or not columns:
+        return []
+    made = [(row, family_plot(row["family"], by_model)) for row in _failing_rows(columns)[:count]]
+    return [
+        {
+            "name": row["family"].replace("_", " "),
+            "hint": f"z² {row['mean_square_z']:.1f}; {plot.hint}".rstrip("; "),
+            "svg": plot.svg,
+        }
+        for row, plot in made
+        if plot.svg
+    ]
+
+
+def _failing_rows(columns: Sequence[Mapping[str, Row]]) -> list[Row]:
+    """Families in which the first model fails, worst first."""
+    rows = [row for name, row in columns[0].items() if name != "all" and state_of(row["mean_square_z"], row["n"]) == "fails"]
+    return sorted(rows, key=lambda row: -row["mean_square_z"])
 
 
 def _views(by_model: Sequence[Sequence[Row]]) -> list[dict[str, str]]:

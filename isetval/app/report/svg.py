@@ -78,8 +78,14 @@ def dots(points: Sequence[tuple[float, float]], kind: str) -> str:
 
 
 def circle(x: float, y: float, kind: str, title: str) -> str:
-    """One point that says what it is when pointed at."""
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.2" class="{kind}"><title>{escape(title)}</title></circle>'
+    """One point that says what it is when pointed at, touched, or reached by the keyboard."""
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.2" class="{kind}" tabindex="0"><title>{escape(title)}</title></circle>'
+
+
+def area(points: Sequence[tuple[float, float]], kind: str) -> str:
+    """A filled band between two curves, given as one closed line."""
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return f'<polygon points="{path}" class="{kind}"/>'
 
 
 def polyline(points: Sequence[tuple[float, float]], kind: str) -> str:

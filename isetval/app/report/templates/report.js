@@ -19,7 +19,23 @@
       if (step) { buttons[(place + step + buttons.length) % buttons.length].focus(); }
     });
   });
-  if (buttons.length) { show(buttons[buttons.length - 1].getAttribute("data-show")); }
+  if (buttons.length) { show(buttons[0].getAttribute("data-show")); }
+  function tell(mark) {
+    var plot = mark.closest(".plot, .card"), words = mark.querySelector("title");
+    if (!plot || !words) { return; }
+    var line = plot.querySelector(".told");
+    if (!line) {
+      line = document.createElement("p");
+      line.className = "told";
+      line.setAttribute("aria-live", "polite");
+      plot.appendChild(line);
+    }
+    line.textContent = words.textContent;
+  }
+  document.querySelectorAll("circle[tabindex]").forEach(function (mark) {
+    mark.addEventListener("focus", function () { tell(mark); });
+    mark.addEventListener("click", function () { tell(mark); });
+  });
   document.querySelectorAll("[data-download]").forEach(function (link) {
     var source = document.getElementById(link.getAttribute("data-download"));
     link.addEventListener("click", function () {
