@@ -15,7 +15,8 @@ from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, Metric
 from isetval.loop.fit import Fit
-from isetval.loop.gaussian import degrees_spent, square, whitener
+from isetval.loop.gaussian import degrees_spent, expected_mean_square, square, whitener
+from isetval.loop.given_side import given_rows
 from isetval.loop.prepared import Prepared, Say, prepare, repeat_gate
 from isetval.loop.problem import Problem
 
@@ -82,17 +83,28 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel]) -> list[Ladde
 
 
 def _mean_square(problem: Problem, fit: Fit, mask: Mask, *, whole: bool) -> tuple[float, int]:
-    """Mean square of whitened residuals, and their number; over all families the nuisances' degrees of freedom are taken off."""
+    """Mean square of whitened residuals over that of a true model, and their number.
+
+    Over all families the nuisances' degrees of freedom are taken off.
+    """
     n = int(mask.sum())
-    if mask.all():
-        return float(fit.z @ fit.z) / max(n - degrees_spent(fit.jacobian, fit.free), 1.0), n
     rows = problem.keep[mask]
     covariance = problem.covariance[np.ix_(rows, rows)]
+    true = _true_mean_square(problem, rows, covariance)
     total = square(fit.residual[rows], covariance)
     if not whole:
-        return total / n, n
+        return total / n / true, n
     spent = degrees_spent(whitener(covariance) @ _raw(problem, fit.jacobian)[mask], fit.free)
-    return total / max(n - spent, 1.0), n
+    return total / max(n - spent, 1.0) / true, n
+
+
+def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Float) -> float:
+    """What a true model shows: as its replicas scatter; 1 for rows that are given with their own error bars."""
+    own = ~given_rows(problem.predictor.table)[rows]
+    if not own.any():
+        return 1.0
+    expected = expected_mean_square(problem.base.values[:, rows[own]], covariance[np.ix_(own, own)])
+    return float(np.average([expected, 1.0], weights=[own.sum(), (~own).sum()]))
 
 
 def _raw(problem: Problem, whitened: Float) -> Float:

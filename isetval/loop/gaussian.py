@@ -42,11 +42,31 @@ def whitener(covariance: Float) -> Float:
 
 def square(residual: Float, covariance: Float) -> float:
     """R' C^-1 r of a residual (n,)."""
+    return float(squares(residual[:, None], covariance)[0])
+
+
+def squares(residuals: Float, covariance: Float) -> Float:
+    """R' C^-1 r, (k,), of residuals (n, k)."""
     from scipy.linalg import solve_triangular
 
     lower, scale = cholesky(covariance)
-    z = solve_triangular(lower, residual / scale, lower=True)
-    return float(z @ z)
+    z = solve_triangular(lower, residuals / scale[:, None], lower=True)
+    return np.asarray(np.sum(z**2, axis=0))
+
+
+def expected_mean_square(values: Float, covariance: Float) -> float:
+    """Mean square of z that a true model shows, from replicas ``values`` (replicas, n) and the covariance of a difference.
+
+    Covariances hold more than an estimator's own noise where that would be singular (an edge's SFR: ten frequencies that
+    move in five directions), so that a true model would stand below 1 for ever.  R replicas about their mean hold R - 1
+    times the variance of one; the difference of a capture and that mean 1 + 1/R times.  Drawn towards 1 by `TOWARDS_ONE`
+    numbers.
+    """
+    replicas, n = values.shape
+    if replicas < 2:
+        return 1.0
+    total = float(np.sum(squares((values - values.mean(axis=0)).T, covariance))) * (1 + 1 / replicas)
+    return float((total + TOWARDS_ONE) / (n * (replicas - 1) + TOWARDS_ONE))
 
 
 def prior_weights(free: Sequence[Parameter]) -> Float:

@@ -1,0 +1,56 @@
+"""The Gaussian kit in closed form."""
+
+import numpy as np
+import pytest
+
+from isetval.core.parameter import Parameter
+from isetval.loop.gaussian import (
+    degrees_spent,
+    expected_mean_square,
+    log_determinant,
+    orthonormal_basis,
+    square,
+    whitener,
+    with_priors,
+)
+
+N, REPLICAS = 60, 40
+
+
+def covariance(rng):
+    root = rng.standard_normal((N, N)) / np.sqrt(N) + np.eye(N)
+    return root @ root.T * np.outer(10.0 ** np.arange(N) ** 0.3, 10.0 ** np.arange(N) ** 0.3)
+
+
+def test_whitening_and_squares_agree_with_the_inverse():
+    rng = np.random.default_rng(1)
+    c = covariance(rng)
+    r = rng.standard_normal(N) * np.sqrt(np.diag(c))
+    assert square(r, c) == pytest.approx(r @ np.linalg.solve(c, r), rel=1e-5)  # a jitter of 1e-9 on a condition of 1e4
+    assert np.sum((whitener(c) @ r) ** 2) == pytest.approx(square(r, c), rel=1e-9)
+    assert log_determinant(c) == pytest.approx(np.linalg.slogdet(c)[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_true_model_is_expected_where_its_replicas_stand(share):
+    """Half of the stated variance is an allowance that nothing fills: replicas say .5."""
+    rng = np.random.default_rng(2)
+    values = np.sqrt(1 - share) * rng.standard_normal((REPLICAS, N))
+    found = expected_mean_square(values, (1 + 1 / REPLICAS) * np.eye(N))
+    numbers = N * (REPLICAS - 1)
+    assert found == pytest.approx(1 - share, abs=5 * np.sqrt(2 / numbers) + 40 / numbers)
+
+
+def test_one_replica_says_nothing():
+    assert expected_mean_square(np.zeros((1, N)), np.eye(N)) == 1.0
+
+
+def test_a_parameter_held_by_its_prior_spends_less_than_one_row():
+    column = np.full((N, 1), 1.0)
+    for prior, spent in ((None, 1.0), (1 / np.sqrt(N), 0.5), (1e-6, 0.0)):
+        free = [Parameter("p", prior=prior)]
+        assert degrees_spent(column, free) == pytest.approx(spent, abs=1e-6)
+        matrix, priors = with_priors(column, free)
+        assert matrix.shape == (N + len(priors), 1)
+    basis = orthonormal_basis(np.column_stack([column, 2 * column]))
+    assert basis.shape == (N, 1)
