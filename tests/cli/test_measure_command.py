@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import isetval
+from isetval.app.cli.file_words import counted_rejections
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 real_data = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real captures is not beside this checkout")
@@ -222,3 +223,20 @@ def test_the_hollow_file_and_the_dark_frame_are_told_apart(run, run_json):
     assert code == 0
     codes = {w["code"] for about in result["files"].values() for w in about["warnings"]}
     assert "clipped_at_zero" in codes
+
+
+def test_rejected_edges_are_counted_by_reason_where_they_are_many():
+    few = [f"a.dng: edge rejected at 1,2,3,{i}: angle" for i in range(3)]
+    many = [f"b.dng: edge rejected at 1,2,3,{i}: {'crowded' if i % 3 else 'angle'}" for i in range(30)]
+    said = counted_rejections([few[0], many[0], "b.dng: capture quality: good", *many[1:], *few[1:]])
+    assert said == [
+        few[0],
+        "b.dng: 30 of the rejected edges: 20 crowded, 10 angle (all with -o page.html)",
+        "b.dng: capture quality: good",
+        *few[1:],
+    ]
+
+
+def test_the_verdict_on_the_capture_comes_before_its_numbers(run, flat_dng):
+    _, out, _ = run("measure", flat_dng)
+    assert 0 < out.index("capture quality: ") < out.index("black level:")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +14,8 @@ if TYPE_CHECKING:
     from isetval.core.metric import Metric
 
 MAX_ROWS = 60
+MAX_REJECTED = 8  # edges of one file that are named one by one
+REJECTED = re.compile(r"(?P<file>.*?)edge rejected at [\d,]+: (?P<reason>[^:;,(]+)")
 
 
 def file_lines(file: str, about: Mapping[str, Any], *, brief: bool) -> list[str]:
@@ -91,6 +95,22 @@ def headline_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     for title, table in headline_tables(rows):
         lines += [f"# {title}", *text_table(table[0], table[1:])]
     return lines
+
+
+def counted_rejections(notes: Sequence[str]) -> list[str]:
+    """Remarks, with the rejected edges of a file counted by reason where they are many."""
+    found = [REJECTED.match(note) for note in notes]
+    files = Counter(match["file"] for match in found if match)
+    many = {file for file, count in files.items() if count > MAX_REJECTED}
+    out: list[str] = []
+    for note, match in zip(notes, found, strict=True):
+        if match is None or match["file"] not in many:
+            out.append(note)
+        elif match["file"] in files:
+            reasons = Counter(m["reason"].strip() for m in found if m and m["file"] == match["file"])
+            words = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+            out.append(f"{match['file']}{files.pop(match['file'])} of the rejected edges: {words} (all with -o page.html)")
+    return out
 
 
 def _family_table(metrics: Sequence[Metric]) -> list[str]:

@@ -199,8 +199,10 @@ def _campaign_lines(table: MetricTable) -> list[str]:
 
 
 def _doubt_lines(skipped: Iterable[tuple[str, str]], notes: Iterable[str]) -> list[str]:
+    from isetval.app.cli.file_words import counted_rejections
+
     lines = [f"left out: {file}: {reason}" for file, reason in skipped]
-    return lines + [f"note: {note}" for note in notes]
+    return lines + [f"note: {note}" for note in counted_rejections(list(notes))]
 
 
 def metric_row(m: Metric, sigma: float, *, file: str = "") -> dict[str, Any]:
@@ -252,9 +254,17 @@ def _file_lines(found: FileMeasurement, rows: Sequence[Mapping[str, Any]], *, br
     for file, about in found.files.items():
         if brief and len(found.files) > 12:
             break
-        lines += file_lines(file, about, brief=brief)
+        head = file_lines(file, about, brief=brief)
+        quality = [f"  {note.partition(': ')[2]}" for note in found.notes if _of_quality(note, file) and not brief]
+        lines += [*head[:2], *quality, *head[2:]]
     lines += headline_lines(rows)
     lines += metric_lines([m for _, m in found.metrics], files=[f for f, _ in found.metrics], brief=brief)
     if brief:
         lines.append(f"# measured {len(found.files)} of {len(found.files) + len(found.skipped)} files")
-    return lines + _doubt_lines(found.skipped, found.notes)
+    said = [note for note in found.notes if brief or not any(_of_quality(note, file) for file in found.files)]
+    return lines + _doubt_lines(found.skipped, said)
+
+
+def _of_quality(note: str, file: str) -> bool:
+    """Whether a remark is the verdict on a file's quality, which comes before its numbers."""
+    return note.startswith(f"{Path(file).name}: capture quality")
