@@ -15,7 +15,7 @@ METRIC_VERSIONS = {
     "chart": 1,
     "dark": 3,
     "find_edges": 3,
-    "flat_fields": 2,
+    "flat_fields": 3,
     "patches": 2,
     "photon_transfer": 3,
     "relative_illumination": 2,

@@ -87,9 +87,8 @@ def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, 
     tag = plane_black_dn(captures[0], plane)
     moments, defects, fixed, (hot, noisy) = _clean_moments(views, tag)
     row, frame = row_and_frame_scatter(moments)
-    known_row = max(row.value, 0.0) if len(views) > 1 else 0.0
-    if known_row:
-        fixed = decompose(moments, _degree(moments), relative=False, row_temporal=known_row)
+    if len(views) > 1 and row.value > 0:
+        fixed = decompose(moments, _degree(moments), relative=False, row_temporal=row)
     clipped = float(np.mean([np.mean(view == 0) for view in views]))
     plain = moments_without(moments, defects)
     flags = []

@@ -22,6 +22,7 @@ from isetval.core.quantity import Quantity
 from isetval.measure.noise.moments import Moments
 
 Float = NDArray[np.float64]
+NO_ROW_NOISE = Quantity(0.0, 0.0, "DN^2")
 MAX_OUTLIER_SHARE = 0.2  # more are structure, and nothing is left out
 
 
@@ -72,7 +73,7 @@ def robust_sd(values: NDArray[Any], limit: int = 20000) -> float:
     return float(1.4826 * np.median(np.abs(flat - np.median(flat))))
 
 
-def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: float = 0.0) -> FixedPattern:
+def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Quantity = NO_ROW_NOISE) -> FixedPattern:
     """Split the fixed pattern of the mean of some frames.
 
     Parameters
@@ -83,8 +84,9 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: fl
         Total degree of the surface taken out; 0 takes only the mean.
     relative : bool
         Divide by the surface (light; photo-response pattern) or subtract it (dark).
-    row_temporal : float
-        Temporal variance of row means beyond pixel noise, DN^2; its residue is removed from the row part.
+    row_temporal : Quantity
+        Temporal variance of row means beyond pixel noise, DN^2; its residue is removed from the row part, whose sigma
+        contains that of the residue.
     """
     average = moments.average
     residual, surface, gain = _flatten(average, degree, relative)
@@ -102,7 +104,7 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: fl
     residue = float(variance.sum(dtype=np.float64)) / valid / moments.frames
     parts = _parts(residual, degree, valid / residual.size)
     quantities, correlation = _assemble(
-        parts, moments.shape, (residue, moments.temporal.sigma / moments.frames), row_temporal / moments.frames
+        parts, moments.shape, (residue, moments.temporal.sigma / moments.frames), row_temporal.scaled(1 / moments.frames, "DN^2")
     )
     total, row, column, pixel = quantities
     return FixedPattern(
@@ -149,7 +151,7 @@ def _parts(residual: NDArray[Any], degree: int, share: float) -> tuple[Float, Fl
 
 
 def _assemble(
-    parts: tuple[Float, Float, float], shape: tuple[int, int], removed: tuple[float, float], row_residue: float
+    parts: tuple[Float, Float, float], shape: tuple[int, int], removed: tuple[float, float], row_residue: Quantity
 ) -> tuple[list[Quantity], Float]:
     """Total, row, column and pixel variances with both parts of their sigma, and their correlation."""
     mean_squares, dof, excess = parts
@@ -157,12 +159,13 @@ def _assemble(
     residue, residue_sigma = removed
     split = np.array([[1.0, 0, 0], [-1 / cols, 1 / cols, 0], [-1 / rows, 0, 1 / rows]])
     to_parts = np.vstack([split.sum(axis=0), split[1], split[2], split[0]])
-    values = to_parts @ mean_squares - np.array([residue + row_residue, row_residue, 0.0, residue])
+    values = to_parts @ mean_squares - np.array([residue + row_residue.value, row_residue.value, 0.0, residue])
     spread = 2 + np.array([excess, 0.0, 0.0])
     covariance = (to_parts * (spread * mean_squares**2 / dof)) @ to_parts.T
     covariance += residue_sigma**2 * np.outer([1, 0, 0, 1], [1, 0, 0, 1])
+    covariance += row_residue.sigma**2 * np.outer([1, 1, 0, 0], [1, 1, 0, 0])
     # the specimen's share: the same mean squares without the temporal residue
-    own = np.maximum(mean_squares - residue - np.array([0.0, cols * row_residue, 0.0]), 0.0)
+    own = np.maximum(mean_squares - residue - np.array([0.0, cols * row_residue.value, 0.0]), 0.0)
     specimen = np.diag((to_parts * (spread * own**2 / dof)) @ to_parts.T)
     variance = np.maximum(np.diag(covariance), 1e-30)
     shared = np.minimum(specimen, variance)

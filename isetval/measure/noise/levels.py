@@ -161,7 +161,7 @@ def with_pattern(level: Level, setups: Setups, plane: str, roi: Roi | None, blac
 
 
 def _pattern(moments: Moments, row: Quantity) -> FixedPattern:
-    fixed = decompose(moments, surface_degree(moments.shape), relative=True, row_temporal=max(row.value, 0.0))
+    fixed = decompose(moments, surface_degree(moments.shape), relative=True, row_temporal=replace(row, value=max(row.value, 0.0)))
     return replace(fixed, surface=np.empty((0, 0)))
 
 

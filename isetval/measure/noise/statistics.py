@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.quantity import Quantity
 from isetval.core.threads import one_blas_thread
-from isetval.measure.noise.fixed_pattern import FixedPattern, decompose
+from isetval.measure.noise.fixed_pattern import NO_ROW_NOISE, FixedPattern, decompose
 from isetval.measure.noise.moments import Moments, frame_moments, neighbor_covariances
 from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import check_frames, check_region
@@ -126,7 +126,7 @@ def _plane_statistics(
     noise = temporal.value if frames > 1 else _single_frame_variance(moments)
     row_noise = max(row_temporal.value, 0.0) if frames > 1 else 0.0
     mean_variance = noise / (pixels * frames) + row_noise / (rows * frames)
-    fixed = decompose(moments, degree, relative=relative, row_temporal=row_temporal.value if frames > 1 else 0.0)
+    fixed = decompose(moments, degree, relative=relative, row_temporal=row_temporal if frames > 1 else NO_ROW_NOISE)
     # outlying pixels (hot, dead) are counted on their own and must not lift the mean
     level = float(fixed.surface.mean(dtype=np.float64)) if fixed.outliers else moments.mean
     mean = Quantity(level, math.sqrt(mean_variance), "DN", _mean_scatter(fixed, (rows, cols)))
@@ -264,7 +264,7 @@ def trimmed_temporal(moments: Moments, clean: Moments) -> Quantity:
 
 
 def _correlation(names: list[str], quantities: Mapping[str, Quantity], fixed: Float, frames: int) -> Float:
-    """Sampling correlation: fixed parts among themselves, and with the temporal variance they lose V / F of."""
+    """Sampling correlation: fixed parts among themselves, and with the temporal variances they lose 1 / F of."""
     out = np.eye(len(names))
     parts = [names.index(f"fixed_{part}_variance_dn2") for part in ("row", "column", "pixel")]
     for i, a in enumerate(parts):
@@ -279,6 +279,11 @@ def _correlation(names: list[str], quantities: Mapping[str, Quantity], fixed: Fl
         for k, value in ((t, r), (u, r * same)):
             out[k, parts[2]] = out[parts[2], k] = value
         out[t, u] = out[u, t] = same
+        lines, row = quantities["row_temporal_variance_dn2"], quantities["fixed_row_variance_dn2"]
+        k = names.index("row_temporal_variance_dn2")
+        if row.sigma > 0:
+            # the residue of row noise is taken off the fixed rows
+            out[k, parts[0]] = out[parts[0], k] = -min(lines.sigma / frames / row.sigma, 0.95)
     return out
 
 
