@@ -21,6 +21,8 @@ from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup, repeats
 
 WHITE, BRIGHT = 0.9, 0.8  # reflectance of a chart's white patch, and of an edge's bright side where no flat tells
+WHITE_PATCH = 18  # of 24, counted from 0
+WHITE_CLIPS = 0.9  # of the range: noise and the chart's own unevenness reach white beyond
 LARGE_PX = 1_000_000  # frames beyond are looked at in parts: a fit shoots every pixel of a plan a hundred times
 FLAT_PART_PX, DARK_PART_PX, FIELD_PART_PX = 192, 256, 64
 FIELD_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5),
@@ -71,7 +73,7 @@ def drafted(seen: Sequence[Seen], sensor: Sensor, model: CameraModel | None, spe
         by_role.setdefault(one.content.role, []).append(one.group)
     darks = by_role.get("dark", [])
     for group in darks:
-        _add_plain(work, number[id(group)], group, "dark", f"{group.session} {group.first.folder or 'darks'}")
+        _add_plain(work, number[id(group)], group, "dark", f"{group.session} {group.first.place or 'darks'}")
     dark_dn = dark_levels(darks)
     setups, references = lit_setups(by_role.get("flat", []), dark_dn)
     for name, group in references.items():
@@ -82,9 +84,16 @@ def drafted(seen: Sequence[Seen], sensor: Sensor, model: CameraModel | None, spe
             _add_plain(work, number[id(group)], group, "flat", setup.name, light=setup.light, level=setup.level)
     for group in by_role.get("edge", []):
         _add_edges(work, number[id(group)], group, dark_dn)
-    _add_charts(work, by_role.get("chart", []), number, dark_dn)
+    _add_charts(work, by_role.get("chart", []), number)
     _add_repeats(work)
     return work
+
+
+def _setup(group: ShotGroup) -> str:
+    """The set-up of an edge or chart: its folder, what its name says, and its light; a picture alone is one of its own."""
+    fact = group.first
+    light = f" {fact.wavelength_nm:g}nm" if fact.wavelength_nm else ""
+    return f"{group.session} {fact.place or fact.file}{light}"
 
 
 def _name(work: Drafting, role: str) -> str:
@@ -132,7 +141,7 @@ def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[fl
     light = group.words.light or (next(iter(work.rates)) if len(work.rates) == 1 else "light")
     time_s, iso = group.first.exposure.time_s, (group.first.exposure.iso or 100.0) / 100.0
     dark = dark_dn.get(time_s, 0.0)
-    setup = f"{group.session} {group.first.folder or group.first.file}"
+    setup = _setup(group)
     window = placed(group.first, work.sensor)
     for edge in edges:
         bright, low = (max(level - dark, 0.0) for level in (edge.bright_dn, edge.dark_dn))
@@ -182,42 +191,50 @@ def _edge_target(
     return DraftTarget(name, table, comment=comment)
 
 
-def _add_charts(
-    work: Drafting, groups: Sequence[ShotGroup], number: Mapping[int, int], dark_dn: Mapping[float | None, float]
-) -> None:
-    """Charts: light by light, levels by the white patch where the charts stand at one place of the field."""
+def _add_charts(work: Drafting, groups: Sequence[ShotGroup], number: Mapping[int, int]) -> None:
+    """Charts: light by light; levels by the white patch, where the charts stand at one place of the field.
+
+    Exposures of one set-up share a level: that of its brightest white that does not clip.
+    """
     for light in dict.fromkeys(group.words.light or "light" for group in groups):
         own = [group for group in groups if (group.words.light or "light") == light]
-        white = {id(g): _white_rate(work.seen[number[id(g)]].content.chart, g) for g in own}
-        first = max(own, key=lambda g: white[id(g)])
-        time_s, iso = first.first.exposure.time_s or 1.0, (first.first.exposure.iso or 100.0) / 100.0
-        reference = work.rates.get(light, white[id(first)] / WHITE)
-        _add_light(work, light, first, reference * time_s * iso)
+        white: dict[str, tuple[float, ShotGroup]] = {}
+        for setup in dict.fromkeys(map(_setup, own)):
+            exposures = [(_white_dn(work.seen[number[id(g)]].content.chart), g) for g in own if _setup(g) == setup]
+            clear = [e for e in exposures if e[0] < WHITE_CLIPS * e[1].first.span_dn] or [min(exposures, key=lambda e: e[0])]
+            best = max(clear, key=lambda e: e[0])
+            white[setup] = (best[0] / _light_time(best[1]), best[1])
+        rate, first = max(white.values(), key=lambda pair: pair[0])
+        reference = work.rates.get(light, rate / WHITE)
+        _add_light(work, light, first, reference * _light_time(first))
         one_place = len({placed(g.first, work.sensor) for g in own}) == 1
         for group in own:
-            chart = work.seen[number[id(group)]].content.chart
-            if chart is None:
-                continue
-            index, name = number[id(group)], _name(work, "chart")
-            window = placed(group.first, work.sensor)
-            rows, cols = (np.array([box[k] for box in chart.boxes]) for k in (slice(0, 2), slice(2, 4)))
-            pitch = int(np.median(rows[:, 1] - rows[:, 0]))
-            outline = (rows.min() - pitch, rows.max() + pitch, cols.min() - pitch, cols.max() + pitch)
-            part, moved = _cut(window, (max(0, int(outline[0])), int(outline[1]), max(0, int(outline[2])), int(outline[3])))
-            level = white[id(group)] / WHITE / reference if one_place else 1.0
-            work.targets.append(_chart_target(name, chart, moved))
-            setup = f"{group.session} {group.first.folder or group.first.file}"
-            why = work.seen[index].content.why
-            comment = f"{why}, turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane"
-            work.add(index, DraftShot(name, "chart", group, part, setup, comment, light, level, name))
+            level = white[_setup(group)][0] / WHITE / reference if one_place and reference > 0 else 1.0
+            _add_chart(work, number[id(group)], group, light, level)
 
 
-def _white_rate(chart: ChartPose | None, group: ShotGroup) -> float:
-    """Green of the brightest neutral patch over exposure and ISO/100, DN/s."""
+def _add_chart(work: Drafting, index: int, group: ShotGroup, light: str, level: float) -> None:
+    chart = work.seen[index].content.chart
     if chart is None:
-        return 0.0
-    iso = (group.first.exposure.iso or 100.0) / 100.0
-    return float(chart.levels_dn[18, 1]) / (group.first.exposure.time_s or 1.0) / iso
+        return
+    name, window = _name(work, "chart"), placed(group.first, work.sensor)
+    rows, cols = (np.array([box[k] for box in chart.boxes]) for k in (slice(0, 2), slice(2, 4)))
+    pitch = int(np.median(rows[:, 1] - rows[:, 0]))
+    outline = (max(0, int(rows.min()) - pitch), int(rows.max()) + pitch, max(0, int(cols.min()) - pitch), int(cols.max()) + pitch)
+    part, moved = _cut(window, outline)
+    work.targets.append(_chart_target(name, chart, moved))
+    comment = f"{work.seen[index].content.why}, turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane"
+    work.add(index, DraftShot(name, "chart", group, part, _setup(group), comment, light, level, name))
+
+
+def _light_time(group: ShotGroup) -> float:
+    """Exposure times ISO/100: what a light's level is multiplied with."""
+    return (group.first.exposure.time_s or 1.0) * (group.first.exposure.iso or 100.0) / 100.0
+
+
+def _white_dn(chart: ChartPose | None) -> float:
+    """Green of the white patch above black."""
+    return 0.0 if chart is None else float(chart.levels_dn[WHITE_PATCH, 1])
 
 
 def _chart_target(name: str, chart: ChartPose, moved: tuple[int, int]) -> DraftTarget:

@@ -27,12 +27,14 @@ from isetval.files.draft_types import Draft, DraftPrior, Seen
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_reading import FolderFacts, read_folder
 from isetval.files.light_levels import dark_levels, lit_setups
-from isetval.files.registration import Content, recognized
+from isetval.files.registration import DARK_SHARE, Content, patch_levels, recognized
 from isetval.files.shot_grouping import shot_groups
 
 Progress = Callable[[str, int, int], None]
 THUMBNAIL_PX = 240  # wide enough to see a chart's patches
 BRIGHT_PERCENTILE = 99.5
+LEAST_SIGNAL_DN = 1.0  # less than a code tells nothing
+LEAST_LIKENESS = 0.5  # ours: of gradients at the same places under another light; other pictures of one bench reach .2
 UNKNOWN_PITCH_UM = 1.0  # what a reader states where a file does not
 
 
@@ -142,7 +144,66 @@ def _recognized(found: FolderFacts, role: str | None, progress: Progress | None)
         seen.append(Seen(group, content, thumbnail=None if capture is None else thumbnail(capture)))
         if progress is not None:
             progress(f"looking at {group.first.file}", i + 1, len(groups))
-    return seen
+    lit = [replace(one, content=lit_after_all(one, seen)) for one in seen]
+    return [_with_borrowed_pose(one, lit, found) for one in lit]
+
+
+def lit_after_all(one: Seen, seen: Sequence[Seen]) -> Content:
+    """A frame as dark as a dark in a bracket of lit ones: its exposure is short enough for that."""
+    group, content = one.group, one.content
+    if content.role != "dark" or group.words.role == "dark":
+        return content
+    for other in seen:
+        theirs, time_s = other.group.first, other.group.first.exposure.time_s
+        same = (theirs.place, theirs.window, other.group.session) == (group.first.place, group.first.window, group.session)
+        if not same or other.content.role == "dark" or not time_s or other.group.clipped:
+            continue
+        expected = other.group.level_dn / time_s * (group.first.exposure.time_s or 0.0)
+        if abs(group.level_dn - expected) < expected / 2 and expected > LEAST_SIGNAL_DN:
+            return Content("scene", f"dim, but as {theirs.file} would be at its exposure")
+    return content
+
+
+def _with_borrowed_pose(one: Seen, seen: Sequence[Seen], found: FolderFacts) -> Seen:
+    content = borrowed_pose(one, seen)
+    if content is one.content or content.chart is None:
+        return one
+    capture = found.captures.take("", one.group.first.file)
+    levels = content.chart.levels_dn if capture is None else patch_levels(capture, content.chart.boxes)
+    return replace(one, content=replace(content, chart=replace(content.chart, levels_dn=levels)))
+
+
+def borrowed_pose(one: Seen, seen: Sequence[Seen]) -> Content:
+    """A chart that only another light or exposure shows: its pose is that of a chart found in the same set-up and window.
+
+    Under another light the borders must lie at the same places (thumbnails correlate in the size of their
+    gradients); other exposures of one bracket have one pose.
+    """
+    fact, content = one.group.first, one.content
+    if content.role not in ("scene", "edge"):
+        return content
+    for other in seen:
+        theirs = other.group.first
+        same = (theirs.place, theirs.window, theirs.rotation_deg, other.group.session)
+        if other.content.chart is None or same != (fact.place, fact.window, fact.rotation_deg, one.group.session):
+            continue
+        alike = float(np.corrcoef(_borders(fact), _borders(theirs))[0, 1])
+        bracket = fact.wavelength_nm == theirs.wavelength_nm and fact.exposure.time_s != theirs.exposure.time_s
+        if alike > LEAST_LIKENESS or (bracket and content.role == "scene" and _dim(fact)):
+            why = f"the chart of {theirs.file}, found there (borders correlate by {alike:.2f})"
+            return replace(content, role="chart", why=why, chart=other.content.chart, edges=())
+    return content
+
+
+def _dim(fact: FileFacts) -> bool:
+    """Whether too little light fell for a picture to be recognized."""
+    return max(fact.levels_dn) < DARK_SHARE * fact.span_dn
+
+
+def _borders(fact: FileFacts) -> NDArray[np.float64]:
+    """Size of the gradients of a thumbnail, flat."""
+    down, across = np.gradient(fact.blocks_dn) if min(fact.blocks_dn.shape) > 1 else (fact.blocks_dn, fact.blocks_dn)
+    return np.asarray(np.hypot(down, across).ravel())
 
 
 def thumbnail(capture: Capture) -> NDArray[np.uint8]:
@@ -159,8 +220,8 @@ def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:
     setups, _ = lit_setups(flats, dark_levels([one.group for one in seen if one.content.role == "dark"]))
     by_name = {shot.name: shot for shot in work.shots}
     again = {(s.setup, by_name[s.repeat_of].setup) for s in work.shots if s.repeat_of and s.role == "flat"}
-    priors = light_priors(flats, setups, sorted(again), list(work.lights.values()))
-    return (*priors, *target_priors({shot.role for shot in work.shots}))
+    roles = {shot.role for shot in work.shots}
+    return (*light_priors(flats, setups, sorted(again), list(work.lights.values()), roles), *target_priors(roles))
 
 
 def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], camera: str) -> list[tuple[str, str, str]]:

@@ -44,7 +44,11 @@ def level_scatter(setups: Sequence[LitSetup], repeated: Sequence[tuple[str, str]
 
 
 def light_priors(
-    flats: Sequence[ShotGroup], setups: Sequence[LitSetup], repeated: Sequence[tuple[str, str]], lights: Sequence[DraftLight]
+    flats: Sequence[ShotGroup],
+    setups: Sequence[LitSetup],
+    repeated: Sequence[tuple[str, str]],
+    lights: Sequence[DraftLight],
+    roles: set[str],
 ) -> list[DraftPrior]:
     """Priors on the level, steadiness, evenness and colour of the light."""
     scatter, steady = level_scatter(setups, repeated), flicker(flats)
@@ -56,12 +60,14 @@ def light_priors(
         per_frame = (0.002, "CHECK: no flat has two frames, so this is an assumption")
     else:
         per_frame = (max(steady[0], LEAST_FLICKER), f"found: scatter of the means of {steady[1]} flat frames beyond pixel noise")
-    lit = ("flat", "edge", "chart")
+    lit = tuple(role for role in ("flat", "edge", "chart") if role in roles)
+    if not lit:
+        return []
     out = [
         DraftPrior("light_level", level[0], "relative", "set-up", level[1], lit),
         DraftPrior("light_level", per_frame[0], "relative", "frame", per_frame[1], lit),
     ]
-    for axis in ("x", "y"):
+    for axis in ("x", "y") if "flat" in roles else ():
         out.append(
             DraftPrior(f"light_tilt_{axis}", 0.01, "relative", "measurement session", "CHECK: evenness of the field", ("flat",))
         )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,8 @@ LOOK_STEP = 0.03  # of the mean: an edge that moves by a tenth of a block's widt
 CHANCE_SIGMAS = 6.0
 LEAST_STEP_DN = 1.0  # two frames whose levels agree to a code are one level
 BLOCKS = 24  # a thumbnail of 24 x 24 means tells pictures apart
+TIME_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_]?(\d\d)[-_]?(\d\d)[-_ T]?(\d\d)[-_.:h]?(\d\d)[-_.:m]?(\d\d)(?!\d\d)")
+WAVELENGTH_IN_NAME = re.compile(r"(?<![\d.])(\d{3,4})nm(?![a-z])")
 WHITE_SHARE = 0.001  # of clipped pixels: more, and the mean of a frame is no level
 
 
@@ -30,7 +34,7 @@ class FileFacts:
     ``levels_dn`` are the means of the planes above black, ``level_sigma_dn`` the largest of their sigmas from
     pixel noise; ``blocks_dn`` are block means above black, all colours together, with ``block_sigma_dn``;
     ``clipped`` is the share of pixels at white; ``placed`` whether the file states its place on the sensor;
-    ``taken`` is the date and time that it states.
+    ``taken`` is the date and time that it or its name states; ``wavelength_nm`` and ``labels`` are those of its sidecar.
     """
 
     file: str
@@ -47,6 +51,14 @@ class FileFacts:
     camera: str = ""
     taken: str = ""
     rotation_deg: float = 0.0
+    wavelength_nm: float | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def place(self) -> str:
+        """Where it belongs: its folder, and what its name says of the set-up."""
+        said = [value for key, value in self.labels.items() if key not in ("visit", "date", "time", "frame")]
+        return "/".join([*([self.folder] if self.folder else []), *said])
 
     @property
     def level_dn(self) -> float:
@@ -87,9 +99,22 @@ def facts_of(file: str, folder: str, capture: Capture, *, rotation_deg: float = 
         float(np.mean(capture.mosaic >= capture.sensor.white_dn)),
         bool(about.get("window_stated", False)),
         f"{about.get('make') or ''} {about.get('model') or ''}".strip(),
-        str(about.get("date_time") or ""),
+        str(about.get("date_time") or "") or time_in_name(file),
         rotation_deg,
+        about.get("wavelength_nm") or _wavelength_in_name(file),
+        about.get("labels") or {},
     )
+
+
+def time_in_name(name: str) -> str:
+    """Date and time in a file's name, as phones and laboratory programs write them, in the form of Exif; else nothing."""
+    found = TIME_IN_NAME.search(PurePosixPath(name).name)
+    return "" if found is None else "{}:{}:{} {}:{}:{}".format(*found.groups())
+
+
+def _wavelength_in_name(name: str) -> float | None:
+    found = WAVELENGTH_IN_NAME.search(PurePosixPath(name).name)
+    return None if found is None else float(found[1])
 
 
 def _blocks(capture: Capture) -> tuple[Float, int]:

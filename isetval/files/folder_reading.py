@@ -88,12 +88,14 @@ def _one_camera(facts: Sequence[FileFacts]) -> tuple[list[FileFacts], list[tuple
         return (fact.camera, fact.sensor.white_dn, fact.sensor.bits, fact.sensor.pixel_um, fact.sensor.cfa == "MONO")
 
     most = Counter(camera(fact) for fact in facts).most_common(1)[0][0]
-    words = f"{most[0] or 'an unnamed camera'}, white {most[1]:g} DN"
+
+    def words(key: tuple[object, ...]) -> str:
+        return f"{key[0] or 'an unnamed camera'} with {key[2]} bits, white at {key[1]:g} DN and pixels of {key[3]:g} um"
+
     others = [
         (
             fact.file,
-            f"was taken by {fact.camera or 'an unnamed camera'}, white {fact.sensor.white_dn:g} DN, most files by {words}; "
-            "make a campaign of its own for it",
+            f"was taken by {words(camera(fact))}, most files by {words(most)}; make a campaign of its own for it",
         )
         for fact in facts
         if camera(fact) != most

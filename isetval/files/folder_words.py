@@ -48,9 +48,12 @@ class FolderWords:
     visit: str = ""
 
 
-def read_words(folder: str, file: str = "") -> FolderWords:
-    """The words of a folder's path, the deepest one winning, and the role word of a file's name."""
-    found: dict[str, object] = {}
+def read_words(folder: str, file: str = "", *, wavelength_nm: float | None = None) -> FolderWords:
+    """The words of a folder's path, the deepest one winning, and the role word of a file's name.
+
+    A stated wavelength is the name of the light, unless a folder names it.
+    """
+    found: dict[str, object] = {"light": f"{wavelength_nm:g}nm"} if wavelength_nm else {}
     for part in PurePosixPath(folder).parts:
         lower = part.lower()
         if VISIT.fullmatch(lower) and "visit" not in found:

@@ -56,17 +56,19 @@ def lit_setups(flats: Sequence[ShotGroup], dark_dn: Mapping[float | None, float]
     """
     parts: dict[tuple[object, ...], list[ShotGroup]] = {}
     for group in flats:
-        parts.setdefault((group.session, group.first.folder, group.first.exposure.iso, group.first.rotation_deg), []).append(
-            group
-        )
+        fact = group.first
+        key = (group.session, fact.place, group.words.light, fact.exposure.iso, fact.rotation_deg)
+        parts.setdefault(key, []).append(group)
     made: list[tuple[str, str, float, list[ShotGroup]]] = []
-    for (session, folder, *_), groups in parts.items():
+    for (session, place, word, *_), groups in parts.items():
         light = groups[0].words.light or "sphere"
         windows = {g.first.window for g in groups}
         middle = min(windows, key=lambda w: _off_middle(groups[0], w))
         brackets = by_rate([g for g in groups if g.first.window == middle], dark_dn)
         for number, (_, own) in enumerate(brackets, 1):
-            name = f"{session} {folder or 'flats'}" + (f" level {number}" if len(brackets) > 1 else "")
+            several = sum(key[:2] == (session, place) for key in parts) > 1
+            name = f"{session} {place or 'flats'}" + (f" {word}" if several and word else "")
+            name += f" level {number}" if len(brackets) > 1 else ""
             rest = [g for g in groups if g.first.window != middle] if number == 1 else []
             made.append((light, name, _bracket_rate(own, dark_dn), [*own, *rest]))
     out: list[LitSetup] = []

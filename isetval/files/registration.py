@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,7 +82,8 @@ def recognized(group: ShotGroup, capture: Capture, *, role: str | None = None) -
     even = unevenness(fact)
     if role in ("dark", "flat"):
         return Content(role, "as told")
-    if role is None and said != "flat" and share < (DARK_SHARE_NAMED if said == "dark" else DARK_SHARE):
+    lit = fact.wavelength_nm is not None or said == "flat"
+    if role is None and not lit and share < (DARK_SHARE_NAMED if said == "dark" else DARK_SHARE):
         return Content("dark", f"its mean lies {100 * share:.2f} % of the range above black")
     if role is None and even <= 0:
         return Content("flat", "its blocks differ by smooth fall-off and noise alone")
@@ -102,7 +104,7 @@ def _structured(capture: Capture, said: str, role: str | None) -> Content:
                 return Content("chart", "a chart of 24 patches was found", chart=register_chart(capture))
             edges, refused = register_edges(capture)
             if edges:
-                return Content("edge", f"{len(edges)} slanted edges were found", edges=edges, refused=refused)
+                return Content("edge", f"slanted edges: {len(edges)}", edges=edges, refused=refused)
             tried.append(f"no slanted edge ({len(refused)} candidates refused)")
         except InputError as error:
             tried.append(str(error))
@@ -156,10 +158,6 @@ def register_chart(capture: Capture) -> ChartPose:
     square = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
     quads = np.stack([model(center + square)[:, ::-1] for center in grid])
     boxes = tuple(upright_box(quad) for quad in quads)
-    inside = [
-        picture[r0 // bin_px + 2 : r1 // bin_px - 2, c0 // bin_px + 2 : c1 // bin_px - 2].reshape(-1, 3).mean(axis=0)
-        for r0, r1, c0, c1 in boxes
-    ]
     smallest = min(min(b[1] - b[0], b[3] - b[2]) for b in boxes)
     margin = max(min(LEAST_MARGIN_PX, smallest // 4), round(MARGIN_SHARE * smallest))
     distance = np.hypot(*(model(grid) - pixels)[inliers].T)
@@ -170,7 +168,7 @@ def register_chart(capture: Capture) -> ChartPose:
     return ChartPose(
         PATCH_NAMES,
         boxes,
-        np.array(inside),
+        patch_levels(capture, boxes),
         np.asarray(model.params, dtype=float),
         side,
         float(np.degrees(np.arctan2(direction[1], direction[0]))),
@@ -179,6 +177,21 @@ def register_chart(capture: Capture) -> ChartPose:
         float(np.sqrt(np.mean(distance**2))),
         margin,
     )
+
+
+def patch_levels(capture: Capture, boxes: Sequence[Box]) -> Float:
+    """Mean R, G, B above black of the inner part of each box, (boxes, 3)."""
+    from isetval.measure.color.chart_finding import preview
+
+    bin_px = 1 if capture.sensor.cfa == "MONO" else 2
+    picture = preview(capture, bin_px)
+    out = []
+    for row0, row1, col0, col1 in boxes:
+        down, across = (row1 - row0) // 4, (col1 - col0) // 4
+        top, bottom = (row0 + down) // bin_px, (row1 - down) // bin_px + 1
+        part = picture[top:bottom, (col0 + across) // bin_px : (col1 - across) // bin_px + 1]
+        out.append(part.reshape(-1, 3).mean(axis=0))
+    return np.array(out)
 
 
 def _patch_side(picture: Float, model: object, grid: Float, bin_px: int) -> float:

@@ -52,22 +52,25 @@ def shot_groups(facts: Sequence[FileFacts]) -> list[ShotGroup]:
     visit = visits(facts)
     keyed: dict[tuple[object, ...], list[FileFacts]] = {}
     for fact in facts:
-        key = (visit[fact.file], fact.folder, fact.exposure.iso, fact.window, fact.rotation_deg, fact.exposure.time_s)
+        how = (fact.exposure.iso, fact.window, fact.rotation_deg, fact.exposure.time_s, fact.wavelength_nm)
+        key = (visit[fact.file], fact.place, *how)
         keyed.setdefault(key, []).append(fact)
     groups = []
     for same in keyed.values():
         for level in by_level(same):
             for look in by_look(level):
-                words = read_words(look[0].folder, look[0].file)
+                words = read_words(look[0].place, look[0].file, wavelength_nm=look[0].wavelength_nm)
                 groups.append(ShotGroup(tuple(look), visit[look[0].file], words))
-    return sorted(groups, key=lambda g: (g.session, g.first.folder, g.first.exposure.time_s or 0.0, g.level_dn, g.first.file))
+    return sorted(
+        groups, key=lambda g: (g.session, g.first.place, g.words.light, g.first.exposure.time_s or 0.0, g.level_dn, g.first.file)
+    )
 
 
 def visits(facts: Sequence[FileFacts]) -> Mapping[str, str]:
     """File -> measurement session, A, B ...: told apart by pauses of more than six hours, else by names of folders."""
     taken = {fact.file: moment for fact in facts if (moment := _moment(fact.taken)) is not None}
     numbers: dict[str, int] = {}
-    if taken:
+    if len(set(taken.values())) > 1:  # a fixed date, as programs write, tells nothing
         order = sorted(taken, key=taken.__getitem__)
         number = 0
         numbers[order[0]] = 0
@@ -78,8 +81,8 @@ def visits(facts: Sequence[FileFacts]) -> Mapping[str, str]:
     out = {}
     several = len(set(numbers.values())) > 1
     for fact in facts:
-        word = read_words(fact.folder).visit
-        mates = [numbers[f.file] for f in facts if f.file in numbers and f.folder == fact.folder]
+        word = read_words(fact.folder).visit or fact.labels.get("visit", "")
+        mates = [numbers[f.file] for f in facts if f.file in numbers and f.place == fact.place]
         if fact.file in numbers and (several or not word):
             out[fact.file] = numbers[fact.file]
         elif several and mates:
@@ -148,12 +151,12 @@ def repeats(groups: Sequence[ShotGroup]) -> dict[int, int]:
     """Number of a group -> number of the group that it repeats in a newly made set-up, as the folder's name says."""
     out = {}
     for i, group in enumerate(groups):
-        base = repeat_base(group.first.folder)
+        base = repeat_base(group.first.place)
         for j, other in enumerate(groups):
             same = (other.first.exposure, other.first.window, other.session) == (
                 group.first.exposure, group.first.window, group.session,
             )  # fmt: skip
-            if base and other.first.folder == base and same and 0.7 < group.level_dn / max(other.level_dn, 1e-9) < 1.4:
+            if base and other.first.place == base and same and 0.7 < group.level_dn / max(other.level_dn, 1e-9) < 1.4:
                 out[i] = j
                 break
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     lines = [f"{path}: {len(roles)} shots ({counts}); pictures of what was found: {page}"]
     lines += [f"not known: {words}" for words in sentences(draft.unknown)]
     lines += [f"not used: {one.group.first.folder or '.'}: {one.content.why}" for one in draft.seen if not one.shots]
-    lines += [f"left out: {file}: {reason}" for file, reason in draft.skipped]
+    lines += left_out_lines(draft.skipped)
     lines += [f"note: {note}" for note in draft.notes]
     lines.append(f"next: isetval measure {args.folder}")
     result = {
@@ -152,6 +153,17 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
         "notes": list(draft.notes),
     }
     return Outcome(result, lines, FINE, {str(path): file_hash(path)})
+
+
+def left_out_lines(skipped: Sequence[tuple[str, str]]) -> list[str]:
+    """Files that were left out, those with one and the same reason in one line."""
+    by_reason: dict[str, list[str]] = {}
+    for file, reason in skipped:
+        by_reason.setdefault(reason, []).append(file)
+    return [
+        f"left out: {files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''}: {reason}"
+        for reason, files in by_reason.items()
+    ]
 
 
 def campaign_check(args: argparse.Namespace, console: Console) -> Outcome:
