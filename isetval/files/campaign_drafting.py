@@ -24,7 +24,7 @@ WHITE, BRIGHT = 0.9, 0.8  # reflectance of a chart's white patch, and of an edge
 WHITE_PATCH = 18  # of 24, counted from 0
 WHITE_CLIPS = 0.9  # of the range: noise and the chart's own unevenness reach white beyond
 LARGE_PX = 1_000_000  # frames beyond are looked at in parts: a fit shoots every pixel of a plan a hundred times
-FLAT_PART_PX, DARK_PART_PX, FIELD_PART_PX = 192, 256, 64
+MIDDLE_PART_PX, FIELD_PART_PX = 256, 64  # darks and flats share the middle, so that read noise and gain belong together
 FIELD_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5),
                 (0.95, 0.95), (-0.95, 0.95), (0.95, -0.95), (-0.95, -0.95))  # fmt: skip
 SURROUND_PX = 24  # of a registered region: what its lens blurs into it
@@ -100,9 +100,14 @@ def _name(work: Drafting, role: str) -> str:
     return f"{role}_{1 + sum(shot.role == role for shot in work.shots):02d}"
 
 
-def _parts(window: Window, role: str) -> list[Window]:
+def _is_large(window: Window, sensor: Sensor) -> bool:
+    """Whether a frame is looked at in parts: whole sensors alone, of which a campaign's window cuts a part."""
+    return window.shape == (sensor.rows, sensor.cols) and window.rows * window.cols > LARGE_PX
+
+
+def _parts(window: Window, role: str, sensor: Sensor) -> list[Window]:
     """The window of a dark or flat; of a large frame the middle, and for flats thirteen places of the field."""
-    if window.rows * window.cols <= LARGE_PX:
+    if not _is_large(window, sensor):
         return [window]
 
     def at(x: float, y: float, side: int) -> Window:
@@ -111,15 +116,15 @@ def _parts(window: Window, role: str) -> list[Window]:
         return Window(row, col, side, side)
 
     if role == "dark":
-        return [at(0, 0, DARK_PART_PX)]
-    return [at(0, 0, FLAT_PART_PX), *(at(x, y, FIELD_PART_PX) for x, y in FIELD_PLACES[1:])]
+        return [at(0, 0, MIDDLE_PART_PX)]
+    return [at(0, 0, MIDDLE_PART_PX), *(at(x, y, FIELD_PART_PX) for x, y in FIELD_PLACES[1:])]
 
 
 def _add_plain(
     work: Drafting, index: int, group: ShotGroup, role: str, setup: str, *, light: str = "", level: float = 1.0
 ) -> None:
     window = placed(group.first, work.sensor)
-    for part in _parts(window, role):
+    for part in _parts(window, role, work.sensor):
         comment = work.seen[index].content.why
         work.add(index, DraftShot(_name(work, role), role, group, part, setup, comment, light, level))
 
@@ -150,7 +155,7 @@ def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[fl
         if bright > white:  # brighter than a perfect white in the reference light: more light than that
             level, white = bright / BRIGHT / white, bright / BRIGHT
         _add_light(work, light, group, white / level)
-        part, moved = _cut(window, edge.roi)
+        part, moved = _cut(window, edge.roi, work.sensor)
         name = _name(work, "edge")
         source = "the flats of its light" if light in work.rates else f"a bright side taken for {BRIGHT}"
         comment = f"pose found to {edge.sigma_px:.3f} px; both reflectances are read off the picture, by {source}"
@@ -158,9 +163,9 @@ def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[fl
         work.add(index, DraftShot(name, "edge", group, part, setup, work.seen[index].content.why, light, level, name))
 
 
-def _cut(window: Window, roi: Box) -> tuple[Window, tuple[int, int]]:
+def _cut(window: Window, roi: Box, sensor: Sensor) -> tuple[Window, tuple[int, int]]:
     """The part of a large frame around a region, and the part's first pixel in the frame."""
-    if window.rows * window.cols <= LARGE_PX:
+    if not _is_large(window, sensor):
         return window, (0, 0)
     top, left = (max(0, (n - SURROUND_PX) // 2 * 2) for n in (roi[0], roi[2]))
     bottom, right = min(window.rows, roi[1] + SURROUND_PX), min(window.cols, roi[3] + SURROUND_PX)
@@ -221,7 +226,7 @@ def _add_chart(work: Drafting, index: int, group: ShotGroup, light: str, level: 
     rows, cols = (np.array([box[k] for box in chart.boxes]) for k in (slice(0, 2), slice(2, 4)))
     pitch = int(np.median(rows[:, 1] - rows[:, 0]))
     outline = (max(0, int(rows.min()) - pitch), int(rows.max()) + pitch, max(0, int(cols.min()) - pitch), int(cols.max()) + pitch)
-    part, moved = _cut(window, outline)
+    part, moved = _cut(window, outline, work.sensor)
     work.targets.append(_chart_target(name, chart, moved))
     comment = f"{work.seen[index].content.why}, turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane"
     work.add(index, DraftShot(name, "chart", group, part, _setup(group), comment, light, level, name))

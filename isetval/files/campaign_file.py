@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descri
 from isetval.files.metric_file import Reading, read_metrics
 from isetval.files.target_file import read_target
 
+RECENT_PIXELS = 100_000_000  # 200 MB: eight frames of 12 MP, the files of a shot that is looked at in parts
 _KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "notes")
 METRIC_KEYS = ("metric", "column", "sigma", "edge", "correlation_length", "covariance")
 """Keys of a shot that say how its metrics file is read, beside method and channel."""
@@ -93,7 +94,7 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     with_files = {shot.name: shot for shot in campaign.shots if shot.files}
     if not with_files:
         return campaign
-    read = _PlacedReader(with_files, sensor, path.parent)
+    read = _PlacedReader(with_files, sensor, path.parent, Counter(file for shot in campaign.shots for file in shot.files))
     files = {name: shot.files for name, shot in with_files.items()}
     return replace(campaign, captures=FileCaptures(files, read, folder=path.parent))
 
@@ -105,23 +106,41 @@ class _PlacedReader:
     shots: Mapping[str, Shot]
     sensor: Sensor
     folder: Path
+    shared: Counter[str]
+    recent: dict[str, Capture] = field(default_factory=dict)
 
     def __call__(self, name: str, file: str) -> Capture:
-        from isetval.files.capture_file import read_capture
         from isetval.files.dng import place_on_sensor
 
         shot, path = self.shots[name], self.folder / file
+<<<<<<< HEAD
         capture = read_capture(path, channel=shot.channel or None)
+=======
+        capture = self._decoded(file)
+>>>>>>> 5b12be0 (campaign init: whole frames are looked at in parts, each file decoded once for all of them; tilted charts tested)
         _check_exposure(capture.exposure, shot, path)
         window = shot.window or Window(0, 0, *capture.mosaic.shape)
         whole = capture.mosaic.shape == (self.sensor.rows, self.sensor.cols)
         placed: Capture = place_on_sensor(capture, self.sensor, (0, 0) if whole else window.origin)
         if whole and window.shape != capture.mosaic.shape:  # a shot may look at a part of its files
             row0, col0, rows, cols = window
-            part = placed.mosaic[row0 : row0 + rows, col0 : col0 + cols]
+            part = placed.mosaic[row0 : row0 + rows, col0 : col0 + cols].copy()  # a view would keep the whole frame
             placed = replace(placed, mosaic=part, window=window.origin)
         time_s = placed.exposure.time_s if placed.exposure.time_s is not None else shot.exposure.time_s
         return replace(placed, exposure=replace(placed.exposure, time_s=time_s))
+
+    def _decoded(self, file: str) -> Capture:
+        """The file; kept for a while where other shots look at other parts of it."""
+        from isetval.files.capture_file import read_capture
+
+        if file in self.recent:
+            return self.recent[file]
+        capture = read_capture(self.folder / file)
+        if self.shared[file] > 1:
+            while sum(c.mosaic.size for c in self.recent.values()) + capture.mosaic.size > RECENT_PIXELS and self.recent:
+                self.recent.pop(next(iter(self.recent)))
+            self.recent[file] = capture
+        return capture
 
 
 def _check_exposure(found: Exposure, shot: Shot, path: Path) -> None:

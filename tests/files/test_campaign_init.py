@@ -214,3 +214,82 @@ def test_illuminants_have_their_published_chromaticity():
         np.testing.assert_allclose(total[:2] / total.sum(), stated, atol=0.002)
     entry = tomllib.loads((folder / "manifest.toml").read_text())["file"][0]
     assert hashlib.sha256((folder / "illuminants.csv").read_bytes()).hexdigest() == entry["sha256"]
+
+
+WHOLE = (1000, 1200)
+FOCAL_PX = 900.0  # of a pinhole: its fall-off is cos^4 of the field angle
+
+
+def _cos4(rows, cols):
+    y, x = np.mgrid[0:rows, 0:cols]
+    return (1 + ((y - (rows - 1) / 2) ** 2 + (x - (cols - 1) / 2) ** 2) / FOCAL_PX**2) ** -2.0
+
+
+def _write(path, electrons, time_s, seed):
+    rng = np.random.default_rng(seed)
+    codes = np.rint(64 + 0.25 * rng.poisson(electrons) + 1.5 * rng.standard_normal(electrons.shape))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    isetval.write_dng(path, isetval.Capture.from_array(np.clip(codes, 0, 1023).astype(int), time_s=time_s, pixel_um=2.0, bits=10))
+
+
+def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_path):
+    shade = _cos4(*WHOLE)
+    for k, (electrons, time_s) in enumerate(((600.0, 0.01), (2400.0, 0.04))):
+        for i in range(2):
+            _write(tmp_path / "flats" / f"{k}{i}.dng", electrons * shade, time_s, 10 * k + i)
+    _write(tmp_path / "darks" / "d.dng", np.zeros(WHOLE), 0.01, 99)
+    y, x = np.mgrid[0 : WHOLE[0], 0 : WHOLE[1]]
+    distance = (x - 300.0) * np.cos(np.radians(5.0)) - (y - 400.0) * np.sin(np.radians(5.0))
+    within = (abs(y - 400) < 150) & (abs(x - 300) < 150)
+    _write(tmp_path / "blade" / "e.dng", np.where(within & (distance < 0), 300.0, 2000.0), 0.02, 100)
+    assert main(["campaign", "init", str(tmp_path), "-q"]) == 0
+    campaign = isetval.load_campaign(tmp_path)
+    flats = [s for s in campaign.shots if s.role == "flat"]
+    assert len(flats) == 2 * 13
+    assert {s.light_level for s in flats} == {1.0}
+    assert len({s.setup for s in flats}) == 1
+    table = isetval.measure_campaign(campaign)
+    assert table.notes == ()
+    for m in table.metrics:
+        if m.name == "mean" and m.role == "flat":
+            row0, col0, rows, cols = next(s.window for s in flats if s.name == m.shot)
+            planted = 0.25 * 600 * (m.exposure_s / 0.01) * shade[row0 : row0 + rows, col0 : col0 + cols].mean()
+            assert abs(m.value - planted) < 5 * m.sigma + 0.02
+    edges = [s for s in campaign.shots if s.role == "edge"]
+    slanted = min(edges, key=lambda s: abs(s.target.angle_deg - 5))
+    assert slanted.target.angle_deg == pytest.approx(5.0, abs=0.1)
+    row0, col0, rows, cols = slanted.window
+    assert rows * cols < 200_000
+    row, col = row0 + (rows - 1) / 2 + slanted.target.offset_px[0], col0 + (cols - 1) / 2 + slanted.target.offset_px[1]
+    assert abs((col - 300) * np.cos(np.radians(5)) - (row - 400) * np.sin(np.radians(5))) < 0.3
+
+
+def test_boxes_of_a_tilted_chart_lie_inside_its_patches():
+    from skimage.transform import ProjectiveTransform
+
+    from isetval.files.registration import register_chart
+    from isetval.measure.color.chart_layout import linear_rgb
+
+    corners = np.array(
+        [[80.0, 90.0], [520.0, 60.0], [545.0, 375.0], [70.0, 350.0]]
+    )  # (column, row) of the outer patches' middles
+    pose = ProjectiveTransform.from_estimate(np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 3.0], [0.0, 3.0]]), corners)
+    step = 3
+    y, x = np.mgrid[0 : 450 * step, 0 : 620 * step] / step - (step - 1) / (2 * step)
+    grid = pose.inverse(np.stack([x.ravel(), y.ravel()], axis=1))
+    nearest = np.rint(grid)
+    on = (np.abs(grid - nearest).max(axis=1) < 0.42) & (nearest >= 0).all(axis=1) & (nearest <= [5, 3]).all(axis=1)
+    number = np.where(on, 6 * nearest[:, 1] + nearest[:, 0], 0).astype(int)
+    color = np.where(on[:, None], linear_rgb()[number], 0.03).reshape(450, step, 620, step, 3).mean(axis=(1, 3))
+    plane = np.array([[0, 1], [1, 2]])[np.arange(450)[:, None] % 2, np.arange(620)[None] % 2]
+    electrons = 3000 * np.take_along_axis(color, plane[:, :, None], axis=2)[:, :, 0]
+    rng = np.random.default_rng(1)
+    codes = np.rint(64 + 0.25 * rng.poisson(electrons) + 0.5 * rng.standard_normal(electrons.shape)).astype(int)
+    found = register_chart(isetval.Capture.from_array(np.clip(codes, 0, 1023), bits=10))
+    assert found.side == pytest.approx(0.84, abs=0.02)
+    square = 0.42 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for k, (row0, row1, col0, col1) in enumerate(found.boxes):
+        quad = pose(np.array([k % 6, k // 6]) + square)
+        cols, rows = np.sort(quad[:, 0]), np.sort(quad[:, 1])
+        upright = np.array([rows[1], rows[2], cols[1], cols[2]]) + 0.5  # pixel centres to half-open borders
+        assert np.abs(np.array([row0, row1, col0, col1]) - upright).max() <= 2
