@@ -107,17 +107,13 @@ class _PlacedReader:
     sensor: Sensor
     folder: Path
     shared: Counter[str]
-    recent: dict[str, Capture] = field(default_factory=dict)
+    recent: dict[tuple[str, str], Capture] = field(default_factory=dict)
 
     def __call__(self, name: str, file: str) -> Capture:
         from isetval.files.dng import place_on_sensor
 
         shot, path = self.shots[name], self.folder / file
-<<<<<<< HEAD
-        capture = read_capture(path, channel=shot.channel or None)
-=======
-        capture = self._decoded(file)
->>>>>>> 5b12be0 (campaign init: whole frames are looked at in parts, each file decoded once for all of them; tilted charts tested)
+        capture = self._decoded(file, shot.channel)
         _check_exposure(capture.exposure, shot, path)
         window = shot.window or Window(0, 0, *capture.mosaic.shape)
         whole = capture.mosaic.shape == (self.sensor.rows, self.sensor.cols)
@@ -129,17 +125,17 @@ class _PlacedReader:
         time_s = placed.exposure.time_s if placed.exposure.time_s is not None else shot.exposure.time_s
         return replace(placed, exposure=replace(placed.exposure, time_s=time_s))
 
-    def _decoded(self, file: str) -> Capture:
+    def _decoded(self, file: str, channel: str) -> Capture:
         """The file; kept for a while where other shots look at other parts of it."""
         from isetval.files.capture_file import read_capture
 
-        if file in self.recent:
-            return self.recent[file]
-        capture = read_capture(self.folder / file)
+        if (file, channel) in self.recent:
+            return self.recent[file, channel]
+        capture = read_capture(self.folder / file, channel=channel or None)
         if self.shared[file] > 1:
             while sum(c.mosaic.size for c in self.recent.values()) + capture.mosaic.size > RECENT_PIXELS and self.recent:
                 self.recent.pop(next(iter(self.recent)))
-            self.recent[file] = capture
+            self.recent[file, channel] = capture
         return capture
 
 
