@@ -1,14 +1,16 @@
 """The demonstration: what is hidden is found, the error falls, the report is there."""
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import isetval
 from isetval.app.cli import main
-from isetval.app.demo import HIDDEN, HIDE_TAU, OwnFiles, chosen_hidden, draw_hidden, run_demo
+from isetval.app.demo import DEFAULT_SEED, HIDDEN, HIDE_TAU, OwnFiles, chosen_hidden, draw_hidden, run_demo
 from isetval.core.hashing import file_hash
 from isetval.core.paths import data_folder
 
@@ -167,6 +169,30 @@ def test_a_list_that_names_files_elsewhere_deletes_none(tmp_path, capsys):
     assert main(["demo", "-o", str(folder)]) == 3
     assert outside.exists()
     assert _files(folder) == before
+
+
+def _words_and_numbers(line):
+    """A printed line without its spacing: words as they are, numbers as numbers."""
+    return [float(w) if re.fullmatch(r"[-+]?\d+(\.\d+)?", w) else w for w in re.findall(r"[-+]?\d+\.?\d*|[^\s\d]+", line)]
+
+
+def _alike(shown, printed):
+    """Equal words, and numbers within a percent: another processor may round the last digits otherwise."""
+    a, b = _words_and_numbers(shown), _words_and_numbers(printed.removeprefix("# "))
+    return len(a) == len(b) and all(
+        x == y if isinstance(x, str) else x == pytest.approx(y, rel=0.01, abs=0.01) for x, y in zip(a, b, strict=True)
+    )
+
+
+@pytest.mark.slow
+def test_the_readme_shows_what_the_demo_prints(tmp_path):
+    from isetval.app.cli.loop_words import demo_lines
+
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+    shown = re.search(r"What the demo printed.*?```\n(.*?)```", readme, re.S)[1]
+    printed = demo_lines(run_demo(DEFAULT_SEED, folder=tmp_path / "demo", jobs=2))
+    for line in filter(str.strip, shown.splitlines()):
+        assert any(_alike(line, p) for p in printed), line
 
 
 @pytest.mark.slow
