@@ -18,8 +18,8 @@ import numpy as np
 import isetval
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.core.campaign import Light, Shot
+from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
 from isetval.scenes.rendered.own_spectra import chart_reflectances, lamp
 
 HERE = Path(__file__).resolve().parent.parent / "data" / "demo"

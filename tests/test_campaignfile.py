@@ -9,10 +9,9 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
-from isetval.core.paths import data_folder
-from isetval.core.scene import ChartTarget, EdgeTarget, Patch
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.toml import data_folder
 from isetval.files.campaign_writer import write_campaign
 
 GRID = np.array([390.0, 470.0, 550.0, 630.0, 710.0])

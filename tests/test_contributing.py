@@ -15,9 +15,9 @@ import isetval.measure.analyses
 from isetval.app.cli import main
 from isetval.app.demo import chosen_hidden
 from isetval.core.campaign import Campaign, Light, Shot
-from isetval.core.paths import data_folder
+from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.toml import data_folder
 from isetval.measure.campaign import analyses
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,8 +11,8 @@ import pytest
 import isetval
 from isetval.app.cli import main
 from isetval.app.demo import DEFAULT_SEED, HIDDEN, HIDE_TAU, OwnFiles, chosen_hidden, draw_hidden, run_demo
-from isetval.core.hashing import file_hash
-from isetval.core.paths import data_folder
+from isetval.core.cache import file_hash
+from isetval.core.toml import data_folder
 
 SMALL = (1464, 1968, 48, 48)
 

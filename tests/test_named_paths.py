@@ -10,8 +10,8 @@ import pytest
 import isetval
 from isetval.app.cli import main
 from isetval.core.campaign import Campaign, Shot
-from isetval.core.paths import data_folder
 from isetval.core.scene import RenderedTarget
+from isetval.core.toml import data_folder
 from isetval.files.campaign_writer import write_campaign
 from isetval.files.dng import DngInfo
 from isetval.files.draft import draft_campaign

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isetval.core.cache import file_hash
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
-from isetval.core.hashing import file_hash
 from isetval.core.jsonable import plain
-from isetval.core.paths import data_folder, inside
+from isetval.core.toml import data_folder, inside
 from isetval.core.writing import write_whole
 
 if TYPE_CHECKING:

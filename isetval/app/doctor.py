@@ -11,7 +11,7 @@ from typing import Any
 
 from isetval.app.provenance import versions
 from isetval.core.errors import MissingPartError
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 
 
 @dataclass(frozen=True)

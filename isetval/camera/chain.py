@@ -15,16 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.cache import Remembered
+from isetval.core.cache import Remembered, content_hash
 from isetval.core.campaign import Light, Shot
-from isetval.core.context import Context, Mode
+from isetval.core.context import TILE_ROWS, Context, Mode
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
-from isetval.core.hashing import content_hash
 from isetval.core.scene import RenderedTarget, Scene
 from isetval.core.sensor import Sensor
 from isetval.core.signal import Signal
-from isetval.core.streams import TILE_ROWS
 from isetval.scenes.planar import build_scene, mean_radiance, planar_radiance
 from isetval.scenes.rendered.accumulation import DRAWS
 from isetval.scenes.rendered.accumulation import Progress as RenderProgress

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from isetval.camera.chain import Camera, ShotSetup, electronics, make_context, mean_electrons
 from isetval.core.campaign import Light, Shot
 from isetval.core.capture import Capture
-from isetval.core.context import Mode
-from isetval.core.rational import as_rational_time
-from isetval.core.sensor import Exposure
-from isetval.core.streams import stream, word
+from isetval.core.context import Mode, stream, word
+from isetval.core.sensor import Exposure, as_rational_time
 
 Float = NDArray[np.float64]
 BIG_PX = 1_000_000  # below it starting threads costs more than they save

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from isetval.camera.exposing import expected_dn, expose_shot
 from isetval.camera.model_writer import save_model
+from isetval.core.cache import content_hash
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.effect import STAGES, Effect
 from isetval.core.errors import InputError
-from isetval.core.hashing import content_hash
 from isetval.core.sensor import Sensor
 
 Float = NDArray[np.float64]

@@ -10,9 +10,8 @@ from typing import Any
 from isetval.camera.model import CameraModel
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
-from isetval.core.paths import named_file, resolve_path
 from isetval.core.sensor import Sensor
-from isetval.core.toml import check_keys, number, read_toml, text, texts
+from isetval.core.toml import check_keys, named_file, number, read_toml, resolve_path, text, texts
 
 _SENSOR_KEYS = ("rows", "cols", "pixel_um", "cfa", "black_dn", "white_dn", "bits")
 _STEP_KEYS = ("sigma", "provenance")

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from isetval.camera.chain import Camera
+from isetval.core.cache import file_hash
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
-from isetval.core.hashing import file_hash
-from isetval.core.paths import PACKAGE_PREFIX, named_path, resolve_path
 from isetval.core.sensor import Sensor
+from isetval.core.toml import PACKAGE_PREFIX, named_path, resolve_path
 from isetval.core.writing import write_whole
 
 

@@ -14,8 +14,8 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import GIVEN_NUISANCES, Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.captures import MemoryCaptures
+from isetval.core.context import stream, word
 from isetval.core.errors import InputError
-from isetval.core.streams import stream, word
 from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]

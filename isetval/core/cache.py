@@ -1,4 +1,4 @@
-"""A folder of results named by the hash of everything that made them.
+"""Results by the content that made them: one hash, arrays in memory and in the user's cache folder, a store of vectors.
 
 The folder is ``$ISETVAL_CACHE`` (``off``: none), else ``$XDG_CACHE_HOME/isetval``, else ``~/.cache/isetval`` (XDG Base
 Directory Specification 0.8).  Files are written whole or not at all; a file that cannot be read counts
@@ -7,19 +7,108 @@ as absent; a folder that cannot be written means that nothing is kept, never tha
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import io
 import json
 import os
 import zipfile
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.errors import InputError
 from isetval.core.writing import replace_whole
+
+Float = NDArray[np.float64]
+
+BLOCK_BYTES = 1 << 20  # what is read at once: larger blocks are no faster
+
+
+def file_hash(path: Path | str) -> str:
+    """SHA-256 of a file, in hexadecimal digits.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        with Path(path).open("rb") as handle:
+            while piece := handle.read(BLOCK_BYTES):
+                digest.update(piece)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
+    return digest.hexdigest()
+
+
+def remembered_file_hash(path: Path | str) -> str:
+    """`file_hash`, taken again only when the file's time or size has changed."""
+    status = os.stat(path)
+    return _remembered(str(path), status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=256)
+def _remembered(path: str, modified_ns: int, size: int) -> str:
+    return file_hash(path)
+
+
+def bytes_hash(data: bytes) -> str:
+    """SHA-256 of bytes, in hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def content_hash(content: Any) -> str:
+    """SHA-256 of a nest of numbers, texts, paths, arrays, tuples, mappings and dataclasses, in hexadecimal digits.
+
+    Equal values give equal hashes whatever the order of a mapping's keys; lists and tuples count as the same,
+    numbers of different type do not.
+
+    Raises
+    ------
+    TypeError
+        For anything else: an object without a content cannot be a key.
+    """
+    digest = hashlib.sha256()
+    for piece in _pieces(content):
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def _pieces(value: Any) -> Iterator[bytes]:
+    """The content as a stream of bytes in which no two values look alike: a kind, a length, the value."""
+    if isinstance(value, np.generic):
+        yield from _pieces(value.item())
+    elif value is None or isinstance(value, bool | int | float | str | bytes | Path):
+        data = value if isinstance(value, bytes) else (value if isinstance(value, str) else repr(value)).encode()
+        yield f"{type(value).__name__}{len(data)}:".encode()
+        yield data
+    elif isinstance(value, np.ndarray):
+        yield f"array{value.dtype.str}{value.shape}:".encode()
+        yield np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, Mapping):
+        yield f"map{len(value)}:".encode()
+        for key in sorted(value, key=str):
+            yield from _pieces(key)
+            yield from _pieces(value[key])
+    elif isinstance(value, list | tuple | set | frozenset):
+        parts = sorted(value, key=str) if isinstance(value, set | frozenset) else value
+        yield f"row{len(value)}:".encode()
+        for part in parts:
+            yield from _pieces(part)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        yield f"{type(value).__qualname__}:".encode()
+        for item in dataclasses.fields(value):
+            yield from _pieces(getattr(value, item.name))
+    else:
+        raise TypeError(f"{type(value).__name__} has no place in a content hash")
+
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -115,3 +204,54 @@ class Remembered:
         self.used += value.nbytes
         while self.used > self.max_bytes and len(self._items) > 1:
             self.used -= self._items.popitem(last=False)[1].nbytes
+
+
+FORMAT = 1  # of the file; a new one makes all stored numbers stale
+MAX_BYTES = 64_000_000  # of one plan: a bound on the room that a store takes on the user's disk
+
+
+@lru_cache(maxsize=1)
+def code_hash() -> str:
+    """SHA-256 of the package's own source: a changed line of code makes all stored numbers stale."""
+    package = Path(__file__).resolve().parents[1]
+    return content_hash([(path.relative_to(package).as_posix(), file_hash(path)) for path in sorted(package.rglob("*.py"))])
+
+
+class Store:
+    """Vectors by key, in memory and in one file."""
+
+    def __init__(self, name: str) -> None:
+        self.items: dict[str, Float] = {}
+        self.fresh = False
+        self.path = cache_folder() / "metrics" / f"{content_hash((FORMAT, name, code_hash()))[:32]}.npz"
+        if self.path.is_file():
+            self.items = _read(self.path)
+
+    def get(self, key: str) -> Float | None:
+        """The vector of a key, or None."""
+        return self.items.get(key)
+
+    def put(self, key: str, vector: Float) -> None:
+        """Remember a vector."""
+        self.items[key] = vector
+        self.fresh = True
+
+    def save(self) -> None:
+        """Write the file if anything is new and it is not too large."""
+        if not self.fresh:
+            return
+        keys = list(self.items)
+        if sum(self.items[k].nbytes for k in keys) <= MAX_BYTES:
+            lengths = np.array([self.items[k].size for k in keys])
+            values = np.concatenate([self.items[k] for k in keys])
+            save_arrays(self.path, {"keys": np.array(keys), "lengths": lengths, "values": values})
+        self.fresh = False
+
+
+def _read(path: Path) -> dict[str, Float]:
+    """The stored vectors; a file that cannot be read is as good as none."""
+    arrays = load_arrays(path)
+    if arrays is None or set(arrays) != {"keys", "lengths", "values"}:
+        return {}
+    parts = np.split(arrays["values"], np.cumsum(arrays["lengths"])[:-1])
+    return {str(key): part for key, part in zip(arrays["keys"], parts, strict=True)}

@@ -12,10 +12,8 @@ from isetval.core.captures import Captures, MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
 from isetval.core.parameter import NuisanceKind, Parameter, split_key
-from isetval.core.region import Window
-from isetval.core.scene import Target
-from isetval.core.sensor import Exposure, Sensor
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum, Target
+from isetval.core.sensor import Exposure, Sensor, Window
 
 ROLES = ("dark", "flat", "edge", "chart", "scene")
 SCOPES = ("campaign", "measurement session", "set-up", "frame")

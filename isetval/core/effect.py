@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
+from isetval.core.cache import remembered_file_hash
 from isetval.core.context import Context
 from isetval.core.errors import InputError
-from isetval.core.hashing import remembered_file_hash
 from isetval.core.scene import Scene
 from isetval.core.signal import Signal
 

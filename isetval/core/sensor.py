@@ -1,13 +1,134 @@
-"""Sensor geometry, levels and exposure: shared by real captures and by simulated ones."""
+"""Sensor geometry, levels, windows and exposure: shared by real captures and by simulated ones."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
+from typing import Any, NamedTuple
 
 from isetval.core.errors import InputError
+
+UNSIGNED_MAX = 2**32 - 1
+SIGNED_MAX = 2**31 - 1
+
+
+def as_rational(value: float | Fraction, *, limit: int = UNSIGNED_MAX, name: str = "value") -> Fraction:
+    """The simplest fraction with 32-bit parts that reads back as the same double.
+
+    Where none exists, the nearest convergent of the continued fraction whose parts fit.
+
+    Parameters
+    ----------
+    value : float or Fraction
+        Finite number; negative only where the caller stores a signed rational.
+    limit : int
+        Largest numerator and denominator: 2**32 - 1 for RATIONAL, 2**31 - 1 for SRATIONAL.
+    name : str
+        What the number is, for the error.
+
+    Returns
+    -------
+    Fraction
+
+    Raises
+    ------
+    InputError
+        If the value is not finite, or too large or too small for the type.
+    """
+    if not math.isfinite(value):
+        raise InputError(f"{name} is {value}; a DNG stores it as a rational, which needs a finite number")
+    exact = Fraction(value)
+    best: Fraction | None = None
+    before, now = (0, 1), (1, 0)
+    rest = exact
+    while True:
+        whole = math.floor(rest)
+        before, now = now, (whole * now[0] + before[0], whole * now[1] + before[1])
+        if abs(now[0]) > limit or now[1] > limit:
+            break
+        best = Fraction(*now)
+        if best == exact or (isinstance(value, float) and float(best) == value):
+            break
+        rest = 1 / (rest - whole)
+    if best is None or (best == 0 and exact != 0):
+        raise InputError(f"{name} is {float(exact):g}; a 32-bit rational holds 1/{limit} to {limit}")
+    return best
+
+
+def as_rational_time(time_s: float) -> float:
+    """Exposure time in s as it reads back from a DNG: the nearest 32-bit rational, as a float.
+
+    Both sides of a comparison use this number, so that a simulation in memory and its DNG agree
+    to the last bit.
+
+    Raises
+    ------
+    InputError
+        If the time is not positive, not finite or below 1/(2**32 - 1) s.
+    """
+    if not time_s > 0:
+        raise InputError(f"exposure time is {time_s} s; it needs a positive number")
+    return float(as_rational(float(time_s), name="exposure time in s"))
+
+
+class Window(NamedTuple):
+    """A crop on the sensor: its first pixel (row0, col0) and its size (rows, cols)."""
+
+    row0: int
+    col0: int
+    rows: int
+    cols: int
+
+    @classmethod
+    def of(cls, numbers: Sequence[int]) -> Window:
+        """From four numbers row0, col0, rows, cols."""
+        row0, col0, rows, cols = (int(n) for n in numbers)
+        return cls(row0, col0, rows, cols)
+
+    @property
+    def origin(self) -> tuple[int, int]:
+        """Sensor pixel (row0, col0) of the crop's first pixel."""
+        return (self.row0, self.col0)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return (self.rows, self.cols)
+
+    def fits(self, shape: tuple[int, int]) -> bool:
+        """Whether it lies inside a sensor of ``shape`` (rows, cols)."""
+        return min(self.row0, self.col0) >= 0 and self.row0 + self.rows <= shape[0] and self.col0 + self.cols <= shape[1]
+
+    def part(self, top: int, rows: int) -> Window:
+        """``rows`` rows of it from its row ``top``."""
+        return Window(self.row0 + top, self.col0, rows, self.cols)
+
+
+class Roi(NamedTuple):
+    """A region of interest of an array, half open: rows row0 to row1, columns col0 to col1."""
+
+    row0: int
+    row1: int
+    col0: int
+    col1: int
+
+    @classmethod
+    def of(cls, numbers: Sequence[int]) -> Roi:
+        """From four numbers row0, row1, col0, col1."""
+        row0, row1, col0, col1 = (int(n) for n in numbers)
+        return cls(row0, row1, col0, col1)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return (self.row1 - self.row0, self.col1 - self.col0)
+
+    def shrunk(self, margin: int) -> Roi:
+        """Without ``margin`` pixels on every side."""
+        return Roi(self.row0 + margin, self.row1 - margin, self.col0 + margin, self.col1 - margin)
+
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 CFA_PATTERNS = (*BAYER_PATTERNS, "MONO")

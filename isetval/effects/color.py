@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter, table_file
 from isetval.core.errors import InputError
-from isetval.core.paths import resolve_path
+from isetval.core.scene import Spectrum, read_spectra
 from isetval.core.signal import Signal
-from isetval.core.spectrum import Spectrum, read_spectra
+from isetval.core.toml import resolve_path
 
 Float = NDArray[np.float64]
 PLANCK_J_S = 6.62607015e-34

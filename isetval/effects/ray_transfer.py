@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter, table_file
 from isetval.core.errors import InputError
-from isetval.core.paths import resolve_path
 from isetval.core.signal import Signal
+from isetval.core.toml import resolve_path
 from isetval.effects.pupil import CircularPupil, axial_um, field_point, thin_lens_shift_um
 from isetval.lens.field_table import field_table
 from isetval.lens.focus import film_for_object, object_for_film

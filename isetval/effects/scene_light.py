@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
-from isetval.core.scene import ChartTarget, Patch, Scene
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import ChartTarget, Patch, Scene, Spectrum
 from isetval.effects.pupil import REFERENCE_NM, field_point
 
 Float = NDArray[np.float64]

@@ -9,10 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isetval.camera.model import CameraModel
-from isetval.core.region import Window
-from isetval.core.scene import Box
-from isetval.core.sensor import Sensor, pattern_at
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Box, Spectrum
+from isetval.core.sensor import Sensor, Window, pattern_at
 from isetval.files.draft_types import DraftLight, DraftShot, DraftTarget, Seen
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_words import PUBLISHED

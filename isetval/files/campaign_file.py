@@ -14,12 +14,9 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
-from isetval.core.paths import inside, named_file
-from isetval.core.region import Window
-from isetval.core.scene import Target
-from isetval.core.sensor import Exposure, Sensor
-from isetval.core.spectrum import Spectrum, read_spectra
-from isetval.core.toml import check_keys, number, numbers, read_toml, text, texts
+from isetval.core.scene import Spectrum, Target, read_spectra
+from isetval.core.sensor import Exposure, Sensor, Window
+from isetval.core.toml import check_keys, inside, named_file, number, numbers, read_toml, text, texts
 from isetval.files.captures import FileCaptures
 from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
 from isetval.files.metric_file import Reading, read_metrics

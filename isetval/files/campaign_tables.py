@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 
 from isetval.core.campaign import Light, Nuisance, Shot
-from isetval.core.paths import PACKAGE_PREFIX, inside, named_path
-from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Target
-from isetval.core.spectrum import Spectrum
-from isetval.core.toml import read_toml
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target
+from isetval.core.toml import PACKAGE_PREFIX, inside, named_path, read_toml
 from isetval.core.writing import write_whole
 from isetval.scenes.rendered.scene_file import files_beside
 

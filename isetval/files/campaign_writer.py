@@ -15,8 +15,8 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
-from isetval.core.paths import PACKAGE_PREFIX, inside, named_file
 from isetval.core.sensor import Sensor
+from isetval.core.toml import PACKAGE_PREFIX, inside, named_file
 from isetval.core.writing import write_whole
 from isetval.files.campaign_tables import Spectra, file_stem, light_table, nuisance_table, shot_table, target_table
 from isetval.files.metric_writer import written_metrics

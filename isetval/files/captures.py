@@ -179,7 +179,7 @@ class Frames(Sequence[Capture]):
 
 def input_hashes(campaign: Campaign) -> dict[str, str]:
     """SHA-256 of the campaign's own file, and of the bytes of all captures that were decoded so far."""
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
 
     name = campaign.provenance.get("descriptor", "campaign.toml")
     file = None if campaign.folder is None else campaign.folder / str(name)

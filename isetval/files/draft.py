@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.paths import PACKAGE_PREFIX, data_folder
+from isetval.core.scene import read_spectra
 from isetval.core.sensor import Sensor
-from isetval.core.spectrum import read_spectra
+from isetval.core.toml import PACKAGE_PREFIX, data_folder
 from isetval.core.writing import write_whole
 from isetval.files.campaign_drafting import Drafting, drafted
 from isetval.files.draft_priors import camera_words, light_priors, target_priors

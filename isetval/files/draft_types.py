@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.region import Window
 from isetval.core.scene import Box
-from isetval.core.sensor import Sensor
+from isetval.core.sensor import Sensor, Window
 from isetval.files.registration import Content
 from isetval.files.shot_grouping import ShotGroup
 

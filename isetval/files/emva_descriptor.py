@@ -23,10 +23,9 @@ import numpy as np
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.paths import inside
-from isetval.core.region import Window
-from isetval.core.sensor import Black, Exposure, Sensor
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Black, Exposure, Sensor, Window
+from isetval.core.toml import inside
 from isetval.files.captures import FileCaptures
 from isetval.files.image_file import read_image
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, black_image_dn, plane_black_dn, plane_view, planes_of
-from isetval.core.region import Window
-from isetval.core.sensor import Exposure, Sensor
+from isetval.core.sensor import Exposure, Sensor, Window
 
 Float = NDArray[np.float64]
 LEVEL_STEP = 0.02  # lamps flicker by less, and steps of light that a person sets are larger

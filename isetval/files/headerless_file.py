@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import bytes_hash
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.hashing import bytes_hash
 from isetval.core.sensor import Exposure, Position, Sensor, black_at, pattern_at
 from isetval.files.picture_file import Remark, check_not_constant, read_bytes, refusal
 from isetval.files.picture_quality import clipping, clipping_remarks, code_remarks, code_use, line_remarks

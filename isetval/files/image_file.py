@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import bytes_hash
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.hashing import bytes_hash
 from isetval.core.sensor import Sensor
 from isetval.files.picture_file import Remark, read_bytes, refusal, what_is
 from isetval.files.picture_quality import clipping, clipping_remarks, code_remarks, code_use, line_remarks

@@ -11,8 +11,8 @@ from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Light, Shot
 from isetval.core.errors import InputError
-from isetval.core.region import Window
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Window
 from isetval.files.shot_grouping import ShotGroup, by_rate
 
 GAIN = "conversion_gain.gain_dn_per_e"  # DN/e- of a model's converter

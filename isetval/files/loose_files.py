@@ -13,7 +13,7 @@ from isetval.core.capture import Capture, Roi, check_roi
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.metric import Metric, MetricTable
-from isetval.core.region import Window
+from isetval.core.sensor import Window
 from isetval.files.captures import FileCaptures
 from isetval.files.file_facts import FileFacts, by_level, facts_of
 from isetval.files.target_search import find_targets

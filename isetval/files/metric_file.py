@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics, axis_of
 from isetval.core.metric import Block, Metric
-from isetval.core.paths import inside
 from isetval.core.sensor import Sensor
+from isetval.core.toml import inside
 from isetval.files import curve_file, emva_datasheet, imatest_file, mtf_mapper_file, sfrmat_file
 from isetval.files.given_rows import GivenTable, numbers, read_text, table_lines, to_metric
 

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from isetval.core.errors import InputError
-from isetval.core.paths import named_file
-from isetval.core.scene import Box, ChartTarget, EdgeTarget, Patch, RenderedTarget, Target
-from isetval.core.spectrum import Spectrum, read_spectra
-from isetval.core.toml import check_keys, number, numbers, read_toml, text
+from isetval.core.scene import Box, ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target, read_spectra
+from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, text
 
 _EDGE_KEYS = (
     "kind", "angle_deg", "orientation", "offset_px", "dark_side", "dark_reflectance", "bright_reflectance",

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, Roi
 from isetval.core.errors import InputError, MeasurementError
-from isetval.core.scene import Box, ChartTarget, EdgeTarget, Patch
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Box, ChartTarget, EdgeTarget, Patch, Spectrum
 
 Float = NDArray[np.float64]
 LEAST_BOX_PX = 4

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from isetval.core.cache import file_hash
 from isetval.core.errors import InputError
-from isetval.core.hashing import file_hash
 from isetval.lens.audit_report import LensAudit, StatedFocus
 from isetval.lens.consistency import entrance_pupil, ray_jacobian
 from isetval.lens.contradictions import Findings, find_flags

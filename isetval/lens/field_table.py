@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.cache import cache_folder, load_arrays, save_arrays
-from isetval.core.hashing import content_hash
+from isetval.core.cache import cache_folder, content_hash, load_arrays, save_arrays
 from isetval.lens.focus import film_for_object
 from isetval.lens.illumination import chief_ray_angle_deg, focal_length_mm, irradiance_curve, smooth_curve
 from isetval.lens.polynomials import FloatArray

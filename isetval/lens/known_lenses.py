@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from isetval.core.errors import InputError
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 from isetval.lens.ray_transfer import RayTransferLens
 from isetval.lens.transfer_file import load_lens
 

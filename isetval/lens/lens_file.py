@@ -5,9 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from isetval.core.cache import cache_folder, save_json
+from isetval.core.cache import cache_folder, content_hash, remembered_file_hash, save_json
 from isetval.core.errors import InputError
-from isetval.core.hashing import content_hash, remembered_file_hash
 from isetval.lens.measured_lens import MeasuredLens, read_measured_lens
 from isetval.lens.prescription import Prescription
 from isetval.lens.prescription_rays import ray_transfer

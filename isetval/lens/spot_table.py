@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.cache import cache_folder, load_arrays, save_arrays
-from isetval.core.hashing import content_hash
+from isetval.core.cache import cache_folder, content_hash, load_arrays, save_arrays
 from isetval.lens.diffraction import shape_otf
 from isetval.lens.field_table import lagrange, lens_hash
 from isetval.lens.focus import film_for_object

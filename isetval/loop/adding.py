@@ -12,10 +12,10 @@ from typing import Any
 from isetval.camera.model import CameraModel
 from isetval.camera.model_file import make_effect
 from isetval.camera.model_writer import save_model
+from isetval.core.cache import file_hash
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
-from isetval.core.hashing import file_hash
-from isetval.core.paths import PACKAGE_PREFIX
+from isetval.core.toml import PACKAGE_PREFIX
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,8 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
-from isetval.core.region import Window
-from isetval.core.scene import EdgeTarget
-from isetval.core.sensor import Exposure, Sensor
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import EdgeTarget, Spectrum
+from isetval.core.sensor import Exposure, Sensor, Window
 from isetval.files.given_rows import SHORT
 from isetval.files.metric_file import Reading, read_metrics
 

@@ -16,7 +16,7 @@ from isetval.core.campaign import GIVEN_NUISANCES, Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.context import Mode
 from isetval.core.metric import Block, Metric, MetricTable
-from isetval.core.region import Window
+from isetval.core.sensor import Window
 from isetval.measure.given import is_whole_field
 
 Float = NDArray[np.float64]

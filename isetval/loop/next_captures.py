@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.errors import InputError
-from isetval.core.region import Window
-from isetval.core.scene import EdgeTarget
-from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import EdgeTarget, Spectrum
+from isetval.core.sensor import Exposure, Window
 from isetval.loop.candidates import Signature, signatures
 from isetval.loop.fit import Fit, jacobian, nuisance_parameters
 from isetval.loop.gaussian import orthonormal_basis, with_priors

@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 from isetval.camera.chain import FRONT, ShotSetup, mean_electrons
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import camera_with, shot_setup
-from isetval.core.cache import Remembered
+from isetval.core.cache import Remembered, Store, content_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.context import Mode
 from isetval.core.errors import InputError
-from isetval.core.hashing import content_hash
 from isetval.core.metric import Block, Differences, MetricTable
 from isetval.core.scene import RenderedTarget
-from isetval.core.store import Store
 from isetval.core.workers import single_worker
 from isetval.loop.gaussian import scatter
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, shoot, with_stated_covariance, with_systematic

@@ -11,11 +11,11 @@ from dataclasses import InitVar, dataclass, replace
 from types import ModuleType
 from typing import Any, ClassVar
 
+from isetval.core.cache import content_hash
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.given import row_words, stretched
-from isetval.core.hashing import content_hash
 from isetval.core.metric import Block, Differences, Metric
 
 WHOLE_FIELD = ("relative_illumination",)

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import STAGES, UNTOUCHED, Effect
 from isetval.core.errors import InputError
-from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene, Spectrum
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.signal import UNITS, Signal
-from isetval.core.spectrum import Spectrum
 
 Array = NDArray[Any]
 NO_BLACK = ((0.0, 0.0), (0.0, 0.0))

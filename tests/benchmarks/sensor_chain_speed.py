@@ -20,7 +20,7 @@ import isetval
 from isetval.camera.chain import ShotSetup
 from isetval.camera.exposing import expose
 from isetval.core.campaign import Exposure, Shot
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 
 REPEATS = 5
 READ_E, DSNU_E, PRNU, DARK_E, GAIN, WELL_E = 2.954, 0.497, 0.0054, 0.261, 0.1707, 6000.0

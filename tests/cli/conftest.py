@@ -9,9 +9,9 @@ import pytest
 import isetval
 from isetval.app.cli import main
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
-from isetval.core.paths import data_folder
+from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.toml import data_folder
 
 WINDOW = (1464, 1968, 32, 32)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 
 CAMERA = data_folder() / "pixel4a" / "camera.toml"
 RADII_MM = np.arange(0.2, 3.41, 0.4)

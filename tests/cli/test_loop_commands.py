@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 
 CAMERA = data_folder() / "pixel4a" / "camera.toml"
 

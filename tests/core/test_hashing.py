@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from isetval import InputError
-from isetval.core.hashing import content_hash, file_hash
-from isetval.core.paths import inside
+from isetval.core.cache import content_hash, file_hash
+from isetval.core.toml import inside
 from isetval.core.writing import write_whole
 
 

@@ -4,8 +4,8 @@ import pytest
 
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.parameter import Parameter
-from isetval.core.region import Roi, Window
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Roi, Window
 
 SHOTS = (
     Shot("a", "flat", setup="s", light="lamp"),

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from isetval import InputError
-from isetval.core.rational import SIGNED_MAX, UNSIGNED_MAX, as_rational, as_rational_time
+from isetval.core.sensor import SIGNED_MAX, UNSIGNED_MAX, as_rational, as_rational_time
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from isetval.core.capture import Capture, black_image_dn, plane_black_dn, plane_view
+from isetval.core.context import fixed_normal, stream
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric, MetricTable
+from isetval.core.scene import Spectrum, read_spectra
 from isetval.core.sensor import Sensor, pattern_at, plane_position
-from isetval.core.spectrum import Spectrum, read_spectra
-from isetval.core.streams import fixed_normal, stream
 
 
 @pytest.mark.parametrize("cfa", ["RGGB", "BGGR", "GRBG", "GBRG"])

@@ -9,8 +9,7 @@ import pytest
 import rawpy
 
 import isetval
-from isetval.core.rational import as_rational_time
-from isetval.core.sensor import BAYER_PATTERNS, pattern_at
+from isetval.core.sensor import BAYER_PATTERNS, as_rational_time, pattern_at
 from isetval.files.dng import DngInfo, noise_profile, simulation_info, write_dng
 
 BLACKS = [[63.75, 64.25], [64.5, 63.9]]

@@ -10,9 +10,8 @@ from isetval.camera.chain import ShotSetup, electronics, make_context, mean_elec
 from isetval.camera.model_file import load_model
 from isetval.core.campaign import Light, Shot
 from isetval.core.effect import UNTOUCHED
-from isetval.core.scene import ChartTarget, EdgeTarget, Patch
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
 from isetval.effects import catalogue
 
 DATA = Path(__file__).parents[2] / "data" / "pixel4a"

@@ -12,10 +12,9 @@ from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.context import Context
 from isetval.core.errors import InputError
-from isetval.core.scene import EdgeTarget
+from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.signal import Signal
-from isetval.core.spectrum import Spectrum
 from isetval.effects.optics_blur import Aperture, FieldCurvature, Spherical
 from isetval.effects.optics_field import Cos4
 from isetval.effects.pixel import Microlens, PixelAngularResponse

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene, Spectrum
 from isetval.effects.scene_light import (
     AmbientLight,
     BlackReflectance,

@@ -12,7 +12,7 @@ import pytest
 
 import isetval
 from isetval.app.cli import main
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from foreign_camera.lab_folder import write_lab
@@ -190,7 +190,7 @@ def test_a_camera_of_another_sensor_is_refused(tmp_path, capsys):
 
 def test_illuminants_have_their_published_chromaticity():
     """CIE 15: x, y of the 1931 observer, here by its multi-lobe fit (Wyman, Sloan and Shirley 2013, to about .002)."""
-    from isetval.core.spectrum import read_spectra
+    from isetval.core.scene import read_spectra
 
     folder = data_folder() / "spectra"
     spectra = read_spectra(folder / "illuminants.csv")

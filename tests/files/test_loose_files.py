@@ -15,8 +15,8 @@ from isetval.app.cli import main
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.captures import MemoryCaptures
 from isetval.core.metric import Block, Metric
-from isetval.core.paths import data_folder
 from isetval.core.scene import EdgeTarget
+from isetval.core.toml import data_folder
 from isetval.files.captures import FileCaptures
 from isetval.files.loose_files import Asked, file_reader, measure_files, raw_files
 from isetval.files.target_search import find_targets

@@ -126,7 +126,7 @@ def test_a_lens_of_circles_and_one_without_any_focus_are_audited_too() -> None:
 
 def test_the_command_takes_stated_focus(capsys) -> None:
     from isetval.app.cli import main
-    from isetval.core.paths import data_folder
+    from isetval.core.toml import data_folder
 
     lens = str(data_folder() / "lens" / "default_lens.json")
     assert main(["lens", "audit", lens, "--focus", "0.3030=0.5", "--focus", "0.25=0.3", "--json"]) == 0

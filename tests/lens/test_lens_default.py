@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 from isetval.lens.audit_report import LensAudit
 from isetval.lens.auditing import audit_file
 from isetval.lens.focus import axial_color_um, lateral_color_um

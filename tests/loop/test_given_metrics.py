@@ -9,11 +9,9 @@ import isetval
 from isetval.camera.exposing import expose_shot
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.errors import InputError
-from isetval.core.paths import data_folder
-from isetval.core.region import Window
-from isetval.core.scene import ChartTarget, Patch
-from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import ChartTarget, Patch, Spectrum
+from isetval.core.sensor import Exposure, Window
+from isetval.core.toml import data_folder
 from isetval.files.campaign_writer import write_campaign
 from isetval.files.metric_file import Reading, read_metrics
 from isetval.loop.curve_campaign import curve_campaign

@@ -8,9 +8,9 @@ import pytest
 import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
-from isetval.core.paths import data_folder
+from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.toml import data_folder
 from isetval.loop.comparison import captures_of, fitted_to
 
 WINDOW = (1464, 1968, 32, 32)

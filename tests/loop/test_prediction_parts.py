@@ -11,10 +11,9 @@ from isetval.camera.chain import ShotSetup, electronics, make_context, mean_elec
 from isetval.camera.shooting import draw_nuisances
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.errors import InputError
-from isetval.core.paths import data_folder
-from isetval.core.scene import ChartTarget, EdgeTarget, Patch
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.score_test import Frame, cosine, score
 from isetval.scenes.pictures import SpectralPicture
@@ -93,8 +92,8 @@ def test_photons_of_a_flat_follow_the_closed_form(model):
     bare = model.without("cos4")
     mean = mean_electrons(bare, ShotSetup(flat(), LIGHT))
     qe = bare.effect("quantum_efficiency")
-    from isetval.core.paths import resolve_path
-    from isetval.core.spectrum import read_spectra
+    from isetval.core.scene import read_spectra
+    from isetval.core.toml import resolve_path
 
     table = read_spectra(resolve_path(qe.file, bare.path.parent))
     irradiance = np.pi * 0.004 / (4 * 1.73**2)

@@ -65,7 +65,7 @@ def case():
 
 
 def isetval_data():
-    from isetval.core.paths import data_folder
+    from isetval.core.toml import data_folder
 
     return data_folder() / "pixel4a"
 

@@ -7,7 +7,7 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
-from isetval.core.paths import data_folder
+from isetval.core.toml import data_folder
 from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.evidence import log_hessian, refit
 from isetval.loop.fit import fit, nuisance_parameters

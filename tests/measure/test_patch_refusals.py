@@ -6,8 +6,7 @@ import pytest
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
-from isetval.core.scene import ChartTarget, Patch
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.measure.analyses.patches import analyze
 
 PATCH = Patch("p", (4, 28, 4, 28), Spectrum.flat(0.5))

@@ -10,8 +10,8 @@ import pytest
 from isetval import compare, load_campaign, load_model, measure_campaign, simulate
 from isetval.core.campaign import Shot
 from isetval.core.errors import InputError
-from isetval.core.paths import data_folder
 from isetval.core.scene import ChartTarget
+from isetval.core.toml import data_folder
 from isetval.measure.analyses.noise_by_level import analyze
 from isetval.measure.patchsummary import patch_summary
 

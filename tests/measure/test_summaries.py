@@ -6,9 +6,9 @@ import numpy as np
 
 from isetval import load_campaign, load_model, measure_campaign, simulate
 from isetval.core.campaign import Campaign, Light, Shot
-from isetval.core.paths import data_folder
+from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure, Sensor
-from isetval.core.spectrum import Spectrum
+from isetval.core.toml import data_folder
 
 
 def test_gain_and_read_noise_of_a_simulated_session_lie_within_their_error_bars():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isetval.core.errors import InputError
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
 from isetval.scenes import cornell_box, load_scene, wall_camera
 from isetval.scenes.rendered.box import PAPER_EDGES, Chart, Mesh
 from isetval.scenes.rendered.own_spectra import CHART_PATCHES, chart_reflectances, lamp, papers

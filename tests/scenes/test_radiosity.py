@@ -7,7 +7,7 @@ contour integral, light carried from square to square bounce by bounce, gathered
 import numpy as np
 import pytest
 
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
 from isetval.scenes import cornell_box, render
 
 pytestmark = pytest.mark.mitsuba

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isetval.core.errors import InputError
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
 from isetval.scenes import cornell_box, render, wall_camera
 from isetval.scenes.rendered.placing import project_px, rectangle, translate
 

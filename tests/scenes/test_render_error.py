@@ -10,10 +10,9 @@ from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign, Shot
-from isetval.core.paths import data_folder
-from isetval.core.scene import Patch, RenderedTarget
+from isetval.core.scene import Patch, RenderedTarget, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.spectrum import Spectrum
+from isetval.core.toml import data_folder
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.render_error import render_covariance
 from isetval.measure.campaign import measure_shot

@@ -7,9 +7,8 @@ import pytest
 
 from isetval.core.context import Context
 from isetval.core.errors import InputError
-from isetval.core.scene import RenderedTarget, Scene
+from isetval.core.scene import RenderedTarget, Scene, Spectrum
 from isetval.core.sensor import Sensor
-from isetval.core.spectrum import Spectrum
 from isetval.scenes.rendered.accumulation import Render
 from isetval.scenes.rendered.own_spectra import lamp
 from isetval.scenes.rendered.rendered_target import Picture, rendered_mean, rendered_radiance

@@ -160,7 +160,7 @@ def _focus_pair(text: str) -> tuple[float, float]:
 
 def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
     """Print what a lens file holds (f-number, fall-off, chief rays, focus) and flag where it contradicts itself."""
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
     from isetval.lens import audit_file
 
     digest = file_hash(args.file)
@@ -178,7 +178,7 @@ def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
 def report(args: argparse.Namespace, console: Console) -> Outcome:
     """Draw one page from results: does it match, where not, what is missing, how the error fell."""
     from isetval.app.report import write_report
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
     from isetval.loop.adding import read_result
 
     if args.output is None:
@@ -194,7 +194,7 @@ def report(args: argparse.Namespace, console: Console) -> Outcome:
 def rerun(args: argparse.Namespace, console: Console) -> Outcome:
     """Run the command behind a result again and list every number that moved (exit code 1 if any did)."""
     from isetval.app.rerun import command_of, rerun_result
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
     from isetval.core.jsonable import plain
     from isetval.loop.adding import read_result
 

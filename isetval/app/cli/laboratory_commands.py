@@ -101,7 +101,7 @@ def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
 def challenge_reveal(args: argparse.Namespace, console: Console) -> Outcome:
     """Check the truth file against the commitment, print it, and score a diagnosis."""
     from isetval.app.challenge import reveal_challenge
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
     from isetval.loop.adding import read_result
 
     truth = args.truth or Path(f"{str(args.folder).rstrip('/')}.truth.json")
@@ -126,7 +126,7 @@ def _hidden_words(truth: Any) -> str:
 def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     """Group and register the raw files of a folder into a campaign.toml that runs at once; campaign.html shows what was found."""
     from isetval.app.report.campaign_page import write_campaign_page
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
     from isetval.files.draft import draft_campaign, write_draft
     from isetval.files.draft_text import sentences
 

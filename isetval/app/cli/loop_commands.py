@@ -90,7 +90,7 @@ def load_both(model: str, campaign: str, args: argparse.Namespace | None = None)
     Those of captures are known once they are measured.
     """
     import isetval
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
     from isetval.files.captures import input_hashes
 
     loaded = isetval.load_model(model)
@@ -143,7 +143,7 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
     from isetval.app.cli.loop_words import comparison_lines
     from isetval.app.limits import broken, load_limits
-    from isetval.core.hashing import file_hash
+    from isetval.core.cache import file_hash
 
     limits = load_limits(args.limits) if args.limits else ()
     model, campaign, inputs = load_both(args.models[0], args.campaign, args)
@@ -202,8 +202,8 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
 def add(args: argparse.Namespace, console: Console) -> Outcome:
     """Write a model file with one more effect, or with new values of one it has; comments of the file are kept."""
     import isetval
+    from isetval.core.cache import file_hash
     from isetval.core.errors import InputError
-    from isetval.core.hashing import file_hash
     from isetval.loop.adding import add_effect, from_diagnosis, from_settings
 
     if args.output is None:

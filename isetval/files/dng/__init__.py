@@ -5,7 +5,7 @@ from isetval.core.lazy import lazy_names
 _NAMES = {
     "DngInfo": "isetval.files.dng.metadata",
     "GainMap": "isetval.files.dng.metadata",
-    "as_rational_time": "isetval.core.rational",
+    "as_rational_time": "isetval.core.sensor",
     "describe_capture": "isetval.files.picture_quality",
     "describe_file": "isetval.files.dng.reader",
     "gain_maps": "isetval.files.dng.metadata",

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import bytes_hash
 from isetval.core.capture import Capture
-from isetval.core.hashing import bytes_hash
 from isetval.core.sensor import Exposure, Position, Sensor, black_at, pattern_at
 from isetval.files.dng.levels import Levels, active_area, read_levels
 from isetval.files.dng.metadata import read_exposure, read_identity, read_pixel_pitch

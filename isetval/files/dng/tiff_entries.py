@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 from isetval.core.errors import InputError
-from isetval.core.rational import SIGNED_MAX, UNSIGNED_MAX, as_rational
+from isetval.core.sensor import SIGNED_MAX, UNSIGNED_MAX, as_rational
 
 Number = float | Fraction
 Entry = tuple[int, int, int, bytes]

@@ -15,8 +15,7 @@ import numpy as np
 
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.rational import UNSIGNED_MAX, as_rational
-from isetval.core.sensor import black_at, pattern_at
+from isetval.core.sensor import UNSIGNED_MAX, as_rational, black_at, pattern_at
 from isetval.core.writing import replace_whole
 from isetval.files.dng.metadata import DngInfo
 from isetval.files.dng.sensor_window import window_entries

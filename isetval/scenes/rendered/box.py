@@ -18,9 +18,9 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from isetval.core.cache import file_hash
 from isetval.core.errors import InputError
-from isetval.core.hashing import file_hash
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
 from isetval.scenes.rendered import own_spectra
 from isetval.scenes.rendered.placing import Float, Shape, block, edge_target, patch_grid, rectangle, rotate, scale, translate
 from isetval.scenes.rendered.spectra import radiance_dict, raised, reflectance_dict, scaled

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
 from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
 
 Float = NDArray[np.float64]

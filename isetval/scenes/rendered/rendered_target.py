@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.errors import InputError
-from isetval.core.scene import RenderedTarget, Scene
+from isetval.core.scene import RenderedTarget, Scene, Spectrum
 from isetval.core.signal import Layer, Signal, Transfer
-from isetval.core.spectrum import Spectrum
 from isetval.scenes.planar import target_field
 from isetval.scenes.rendered.accumulation import Progress, Render
 from isetval.scenes.rendered.rendering import render

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core import cache as store
+from isetval.core.cache import content_hash
 from isetval.core.errors import InputError
-from isetval.core.hashing import content_hash
 from isetval.scenes.rendered.accumulation import DRAWS, Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
 from isetval.scenes.rendered.lens_tables import LensTables
 from isetval.scenes.rendered.spectra import band_feet_nm

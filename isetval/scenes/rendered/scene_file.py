@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from isetval.core.errors import InputError
-from isetval.core.paths import PACKAGE_PREFIX, named_file
-from isetval.core.spectrum import Spectrum, read_spectra
+from isetval.core.scene import Spectrum, read_spectra
+from isetval.core.toml import PACKAGE_PREFIX, named_file
 from isetval.scenes.rendered.box import Block, BoxParameters, Chart, Edge, Mesh, cornell_box, wall_camera
 
 _LISTS = {"blocks": Block, "charts": Chart, "edges": Edge, "meshes": Mesh}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import Spectrum
 
 Float = NDArray[np.float64]
 SHORTEST_NM, LONGEST_NM = 360.0, 830.0
@@ -62,7 +62,7 @@ def band_feet_nm(wavelength_nm: ArrayLike) -> tuple[Float, Float]:
     """Feet of the triangular bands around the given centers, (bands,) each.
 
     A band reaches to its neighbors' centers; the outer ones end at their own center.  These are the hat
-    functions of linear interpolation (`isetval.core.spectrum.Spectrum.band_means` uses the same), so a sum
+    functions of linear interpolation (`isetval.core.scene.Spectrum.band_means` uses the same), so a sum
     over bands of radiance x efficiency x trapezoid weight is exact for an efficiency that is linear between
     the centers.
 

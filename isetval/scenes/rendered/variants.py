@@ -18,8 +18,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from isetval.core import cache
+from isetval.core.cache import content_hash
 from isetval.core.errors import InputError, MissingPartError
-from isetval.core.hashing import content_hash
 
 SCALAR = "scalar_spectral"
 JIT_VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral")

@@ -6,8 +6,7 @@ import pytest
 from isetval.core.campaign import Exposure, Shot
 from isetval.core.capture import Capture
 from isetval.core.metric import MetricTable
-from isetval.core.scene import ChartTarget, Patch, RenderedTarget
-from isetval.core.spectrum import Spectrum
+from isetval.core.scene import ChartTarget, Patch, RenderedTarget, Spectrum
 from isetval.measure.campaign import measure_shot
 from isetval.measure.color import line_profile, patches_over_frames
 from isetval.measure.color.repeated_frames import pattern_variance
