@@ -144,7 +144,7 @@ def test_axial_color_moves_each_colour_by_its_own_number():
 def test_a_lens_effect_without_a_lens_is_refused():
     context = Context(sensor=SENSOR, window=(0, 0, 64, 64))
     bare = Signal.of(np.ones((1, 1, 1)), "irradiance", shape=(64, 64), wavelength_nm=[550.0])
-    with pytest.raises(InputError, match="put aperture before defocus"):
+    with pytest.raises(InputError, match="put aperture or ray_transfer before defocus"):
         Defocus(z_um=3.0).apply(bare, context)
 
 
