@@ -205,7 +205,7 @@ def decode_plain(data: bytes, layout: Layout, byte_order: str) -> Mosaic:
     ends = [offset + count for offset, count in zip(layout.offsets, layout.byte_counts, strict=True)]
     if not layout.tiled and list(layout.offsets[1:]) == ends[:-1] and sum(layout.byte_counts) == 2 * layout.rows * layout.cols:
         whole = np.frombuffer(data, kind, layout.rows * layout.cols, layout.offsets[0])
-        return whole.reshape(layout.rows, layout.cols).astype(np.uint16)
+        return whole.reshape(layout.rows, layout.cols).astype(np.uint16, copy=False)
     frame = np.empty((layout.rows, layout.cols), np.uint16)
     for number, offset in enumerate(layout.offsets):
         down, across = divmod(number, layout.across)
