@@ -245,18 +245,20 @@ def _black_dn(read: _FrameReader, shots: Sequence[Shot], path: Path) -> tuple[fl
     darks = sorted((s for s in shots if s.role == "dark"), key=lambda s: s.exposure.time_s or 0.0)
     reasons = []
     for shot in darks:
-        means = []
+        means, variances = [], []
         for file in shot.files:
             try:
-                means.append(float(np.mean(read(shot.name, file).mosaic)))
+                mosaic = read(shot.name, file).mosaic
             except InputError as error:
                 reasons.append(str(error))
+                continue
+            means.append(float(mosaic.mean()))
+            variances.append(float(mosaic.var()) / mosaic.size)
         if means:
-            black_dn = float(np.mean(means))
-            return (
-                black_dn,
-                f"black level {black_dn:.3f} DN: mean of {len(means)} dark frames of the shortest exposure ({shot.name})",
-            )
+            black_dn, sigma_dn = float(np.mean(means)), math.sqrt(float(np.mean(variances)) / len(means))
+            words = f"mean of {len(means)} dark frames of the shortest exposure ({shot.name}), an error that all shots share: "
+            words += f'parameter = "black_level.offset_dn", sigma = {sigma_dn:.2g}, scope = "campaign" as a nuisance'
+            return black_dn, f"black level {black_dn:.3f} +- {sigma_dn:.3f} DN: {words}"
     why = f"none can be read; the first: {reasons[0]}" if reasons else "it lists none"
     raise InputError(f"{path}: needs a dark series for the black level, and {why}")
 
