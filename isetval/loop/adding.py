@@ -16,11 +16,16 @@ from isetval.core.cache import file_hash
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.toml import PACKAGE_PREFIX
+from isetval.core.writing import write_whole
+from isetval.loop.adding_color import KIND, spectral_qe_values
 
 
 @dataclass(frozen=True, eq=False)
 class NewValues:
-    """Values of an effect's parameters, what is known of their errors, and their origin."""
+    """Values of an effect's parameters, what is known of their errors, and their origin.
+
+    ``tables`` are files that the values name, by name: they are written beside the model.
+    """
 
     effect: str
     values: Mapping[str, Any]
@@ -28,12 +33,25 @@ class NewValues:
     source: str = ""
     fitted_to: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    tables: Mapping[str, str] = field(default_factory=dict)
 
     def words(self) -> str:
         """The values on one line."""
         said = {k: v if isinstance(v, str) else f"{v:.5g}" for k, v in self.values.items()}
         parts = [f"{k} {v}" + (f" +- {self.sigma[k]:.2g}" if k in self.sigma else "") for k, v in said.items()]
         return f"{self.effect} with {', '.join(parts)}" if parts else self.effect
+
+
+def from_result(effect: str, path: Path | str) -> NewValues:
+    """The values that a result holds: those of a diagnosis, or filters and mixing that were fitted to charts.
+
+    Raises
+    ------
+    InputError
+        If the file is none of them, or does not tell of the effect.
+    """
+    result = read_result(path)
+    return from_spectral_qe(effect, result, Path(path)) if result.get("kind") == KIND else from_diagnosis(effect, path)
 
 
 def from_diagnosis(effect: str, path: Path | str) -> NewValues:
@@ -68,6 +86,26 @@ def from_diagnosis(effect: str, path: Path | str) -> NewValues:
             "model_sha256": str(result.get("model_sha256", "")),
             "posterior": named[effect]["posterior"],
         },
+    )
+
+
+def from_spectral_qe(effect: str, result: Mapping[str, Any], path: Path) -> NewValues:
+    """What a fit of the filters to charts says of an effect.
+
+    Raises
+    ------
+    InputError
+        If the result holds nothing of the effect.
+    """
+    found = spectral_qe_values(effect, result, str(path))
+    return NewValues(
+        effect,
+        found.values,
+        found.sigma,
+        source=f"fitted to charts ({result.get('source') or path.name})",
+        fitted_to=tuple(map(str, result.get("fitted_to") or ())),
+        provenance={"result": path.name, "result_sha256": file_hash(path)},
+        tables=found.tables,
     )
 
 
@@ -112,6 +150,7 @@ def add_effect(model: CameraModel, new: NewValues, *, output: Path | str) -> Cam
     InputError
         If a value is out of bounds, the chain becomes badly ordered, or the file cannot be written.
     """
+    new = _with_tables(new, Path(output))
     standing = model.effect(new.effect)
     effect = _changed(standing, new) if standing is not None else _made(new)
     name = Path(output).stem
@@ -119,8 +158,28 @@ def add_effect(model: CameraModel, new: NewValues, *, output: Path | str) -> Cam
     step: dict[str, Any] = {"sigma": dict(new.sigma)} if new.sigma else {}
     if new.provenance:
         step["provenance"] = dict(new.provenance)
+    for file, text in new.tables.items():
+        write_whole(file, text)
     save_model(made, output, steps={new.effect: step} if step else None)
     return replace(made, path=Path(output))
+
+
+def _with_tables(new: NewValues, output: Path) -> NewValues:
+    """The values with their tables' places beside the model: under their own names, or the model's where those are taken.
+
+    Raises
+    ------
+    InputError
+        If both names are taken.
+    """
+    places = {}
+    for name in new.tables:
+        free = [p for p in (output.parent / name, output.parent / f"{output.stem}_{name}") if not p.exists()]
+        if not free:
+            raise InputError(f"{output.parent}: holds {name} and {output.stem}_{name} already; write the model to another folder")
+        places[name] = str(free[0].resolve())
+    values = {key: places.get(value, value) if isinstance(value, str) else value for key, value in new.values.items()}
+    return replace(new, values=values, tables={places[name]: text for name, text in new.tables.items()})
 
 
 def _changed(effect: Effect, new: NewValues) -> Effect:

@@ -20,8 +20,8 @@ from isetval.core.sensor import Window
 from isetval.measure.given import is_whole_field
 
 Float = NDArray[np.float64]
-COARSE_ROWS = 128
-"""Rows of the larger pixels of a whole field: the fall-off of a cos^4 field is then within 2e-4 to the corner (64: 3e-3)."""
+COARSE_ROWS = 192
+"""Rows of the larger pixels of a whole field: the last of a colour plane lies .02 mm from the corner of a phone's sensor."""
 SENSOR_NUMBERS = ("conversion_gain", "temporal_dark_noise", "dsnu", "prnu")
 SERIES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)  # of the range above black: to 70 % of saturation, as EMVA 1288 fits
 FULL = 0.95  # of the range above black: levels beyond are not shot, noise would clip

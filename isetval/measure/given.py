@@ -108,6 +108,7 @@ def same_rows(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any
     wanted: tuple[Metric, ...] = choices["wanted"].metrics
     systematic: Mapping[str, float] = choices.get("systematic", {})
     stretch, scale = 1 + systematic.get("axis_stretch", 0.0), 1 + systematic.get("scale", 0.0)
+    noise_free = is_whole_field(choices)
     rows: list[Metric] = []
     reasons: list[str] = []
     for module in modules:
@@ -116,14 +117,15 @@ def same_rows(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any
             continue
         moved = tuple(mine) if stretch == 1 else tuple(stretched(row, stretch) for row in mine)
         try:
-            found = module.analyze(shot, captures, {"wanted": moved, "method": choices["method"]})
+            asked = {"wanted": moved, "method": choices["method"], "noise_free": noise_free}
+            found = module.analyze(shot, captures, asked)
         except InputError as error:
             reasons.append(str(error))
             continue
         by_key = {row.key(): row for row in found.metrics}
-        for stated, asked in zip(mine, moved, strict=True):
-            if asked.key() in by_key:
-                measured = by_key[asked.key()]
+        for stated, place in zip(mine, moved, strict=True):
+            if place.key() in by_key:
+                measured = by_key[place.key()]
                 value = measured.value * scale + systematic.get("offset", 0.0)
                 rows.append(replace(stated, value=value, sigma=measured.sigma))
     if not rows:

@@ -67,7 +67,9 @@ def _register_add(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("model", metavar="MODEL")
     p.add_argument("effect", metavar="EFFECT", help="a name of the catalogue (isetval effects)")
     source = p.add_mutually_exclusive_group()
-    source.add_argument("--from", dest="diagnosis", metavar="d.json", type=Path, help="result of isetval diagnose")
+    source.add_argument(
+        "--from", dest="diagnosis", metavar="d.json", type=Path, help="result of isetval diagnose, or of save_spectral_qe"
+    )
     source.add_argument("--set", dest="settings", metavar="k=v", action="append", default=[], help="a parameter's value")
     p.set_defaults(handler=add, writes_result=False, suffixes=(".toml",))
 
@@ -204,14 +206,14 @@ def add(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
     from isetval.core.cache import file_hash
     from isetval.core.errors import InputError
-    from isetval.loop.adding import add_effect, from_diagnosis, from_settings
+    from isetval.loop.adding import add_effect, from_result, from_settings
 
     if args.output is None:
         raise InputError("add needs -o MODEL2: the model file to write")
     model = isetval.load_model(args.model)
     inputs = {str(model.path): file_hash(str(model.path))}
     if args.diagnosis is not None:
-        values = from_diagnosis(args.effect, args.diagnosis)
+        values = from_result(args.effect, args.diagnosis)
         inputs[str(args.diagnosis)] = file_hash(args.diagnosis)
     else:
         values = from_settings(args.effect, args.settings)

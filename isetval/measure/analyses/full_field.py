@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from isetval.core.campaign import Shot
@@ -22,15 +23,14 @@ from isetval.core.metric import Block, Metric
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.shading import relative_illumination
 
+Float = NDArray[np.float64]
 ROLES = ("flat",)
 GIVES = ("relative_illumination",)
 LEAST_SHARE = 0.25  # of the sensor: a smaller frame, were it in the middle, would not reach half of the corner's radius
 # of the farthest radius: not the centre, where the curve is 1, nor the corner, where four blocks hold it
 PLACES = np.linspace(0.15, 0.9, 6)
 LEAST_SIGMA = 1e-7  # of noise-free simulations, far below what rounding to whole DN leaves
-AS_GIVEN = {"basis": "polynomial", "order": 6, "geometry": "center"}
-"""How a simulation is measured beside a curve from another tool, which made choices of its own: order 6 is what a noise-free
-cos^4 field asks for (truncation below .0001 to the corner)."""
+AZIMUTHS = 720  # places on a ring: two corners of the frame hold a few of them even at the last radius
 
 
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
@@ -43,7 +43,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     if captures[0].mosaic.size < LEAST_SHARE * sensor.rows * sensor.cols:
         return Block(())
     if "wanted" in choices:
-        return _as_given(captures, choices["wanted"])
+        return _as_given(captures, choices)
     conditions = shot_conditions(shot, sensor)
     result = relative_illumination(captures, choices=choices or None)
     rows: list[Metric] = []
@@ -60,29 +60,49 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     return Block(tuple(rows), block_diag(*blocks), choices=dict(result.choices))
 
 
-def _as_given(captures: Sequence[Capture], wanted: Sequence[Metric]) -> Block:
-    """The wanted rows; radii beyond the farthest pixel are those of the farthest pixel."""
+def _as_given(captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
+    """The wanted rows: ring means of noise-free frames, else the curve that is fitted to noisy ones.
+
+    What a fall-off curve estimates is the light on a ring about the middle over that in the middle, and on a noise-free
+    frame the ring mean *is* that number: the estimator's own expectation in the limit of enough orders (it is linear in
+    the light, so noise does not move it).  Its polynomials are not used there: of the order that a cos^4 field asks for
+    they are 2 points off at the corner of a lens with a sharp onset of vignetting, which the tool that drew the curve is
+    not.
+    """
     planes = planes_of(captures[0])
     rows: list[Metric] = []
-    for channel in dict.fromkeys(row.channel for row in wanted):
-        asked = [row for row in wanted if row.channel == channel]
+    for channel in dict.fromkeys(row.channel for row in choices["wanted"]):
+        asked = [row for row in choices["wanted"] if row.channel == channel]
         plane = (channel if channel in planes else "Gr") if len(planes) > 1 else planes[0]
-        alone = [_plane(capture, plane) for capture in captures]
-        curve = relative_illumination(alone, choices=AS_GIVEN)["MONO"]
-        value, sigma = curve.at([min(row.field_x_mm or 0.0, float(curve.radius_mm[-1])) for row in asked])
+        radius = np.array([row.field_x_mm or 0.0 for row in asked])
+        if choices.get("noise_free"):
+            value, sigma = ring_means(captures[0], plane, radius), np.full(radius.size, LEAST_SIGMA)
+        else:
+            curve = relative_illumination(captures)[plane]
+            value, sigma = curve.at(np.minimum(radius, curve.radius_mm[-1]))
         sigma = np.maximum(sigma, LEAST_SIGMA)
         rows += [replace(row, value=float(v), sigma=float(s)) for row, v, s in zip(asked, value, sigma, strict=True)]
     return Block(tuple(rows))
 
 
-def _plane(capture: Capture, plane: str) -> Capture:
-    """One colour plane as a capture of its own: the fitted centre takes up that it lies half a pixel beside the sensor's."""
-    if capture.sensor.cfa == "MONO":
-        return capture
+def ring_means(capture: Capture, plane: str, radius_mm: Float) -> Float:
+    """Mean of a plane on rings about the sensor's middle over its value there, (radii,); places between pixels by splines.
+
+    A ring is read where it lies inside the frame; radii beyond the last corner are those of the pixels nearest to them.
+    """
+    from scipy.ndimage import map_coordinates
+
+    view, (row0, col0), step = plane_view(capture, plane)
+    signal = view.astype(float) - plane_black_dn(capture, plane)
     sensor = capture.sensor
-    view = plane_view(capture, plane)[0]
-    level = plane_black_dn(capture, plane)
-    rows, cols, black = sensor.rows // 2, sensor.cols // 2, ((level, level), (level, level))
-    alone = replace(sensor, rows=rows, cols=cols, pixel_um=2 * sensor.pixel_um, cfa="MONO", black_dn=black)
-    row0, col0 = capture.window[:2]
-    return replace(capture, mosaic=np.ascontiguousarray(view), sensor=alone, window=(row0 // 2, col0 // 2))
+    middle = (sensor.rows - 1) / 2 - capture.window[0], (sensor.cols - 1) / 2 - capture.window[1]
+    angle = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+    reach = radius_mm[:, None] / (sensor.pixel_um * 1e-3)
+    down, right = middle[0] + reach * np.sin(angle), middle[1] + reach * np.cos(angle)
+    places = np.array([(down - row0) / step, (right - col0) / step])
+    last = np.array(view.shape)[:, None, None] - 1
+    beside = np.maximum(np.maximum(-places, places - last), 0.0).sum(axis=0)
+    inside = beside <= beside.min(axis=1, keepdims=True)  # beyond all corners: the pixels nearest to the ring
+    found = map_coordinates(signal, places.reshape(2, -1), order=3, mode="nearest").reshape(reach.size, AZIMUTHS)
+    center = map_coordinates(signal, np.array([[(middle[0] - row0) / step], [(middle[1] - col0) / step]]), order=3)[0]
+    return np.asarray(np.where(inside, found, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1) / center)
