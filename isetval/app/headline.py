@@ -9,7 +9,10 @@ from typing import Any
 from isetval.app.words import with_sigma
 
 Row = Mapping[str, Any]
+Files = Mapping[str, Mapping[str, Any]]
 Table = list[tuple[str, ...]]
+PLACES = (("nearest the center", 0.0), ("part way", 0.7), ("farthest out", 1.0))
+"""Shares of the distance of the outermost edge."""
 SERIES = {
     "gain_dn_per_e": "conversion gain",
     "read_noise_e": "read noise",
@@ -25,9 +28,12 @@ ONE_OF = (("read_noise_e", "read_noise_dn"), ("dsnu_e", "dsnu_dn"))
 """Where the first is known the second says the same in other units."""
 
 
-def headline_tables(rows: Sequence[Row], *, sign: str = "+-") -> list[tuple[str, Table]]:
-    """Titled tables, each with its header as first row; none where nothing of the kind was measured."""
-    found = [*_series(rows, sign), *_falloff(rows, sign), *_sharpness(rows, sign)]
+def headline_tables(rows: Sequence[Row], *, files: Files | None = None, sign: str = "+-") -> list[tuple[str, Table]]:
+    """Titled tables, each with its header as first row; none where nothing of the kind was measured.
+
+    ``files`` are the described files of a measurement: their shapes say where in the frame an edge lies.
+    """
+    found = [*_series(rows, sign), *_falloff(rows, sign), *_sharpness(rows, sign, files or {})]
     return [(title, table) for title, table in found if len(table) > 1]
 
 
@@ -74,18 +80,20 @@ def _at(region: str) -> str:
     return "at " + region.rpartition("r ")[2]
 
 
-def _sharpness(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
-    """MTF50 of the edges: nearest the middle of the field, farthest out, and the extremes, by channel."""
+def _sharpness(rows: Sequence[Row], sign: str, files: Files) -> Iterable[tuple[str, Table]]:
+    """MTF50 of the edges: by place in the field and at the extremes, by channel."""
     own = [row for row in rows if row["name"] == "mtf50" and row["value"] is not None]
     channels = list(dict.fromkeys(row.get("channel", "") for row in own))
     wanted = [c for c in ("G", "MONO") if c in channels] or channels[:1]
     for channel in wanted:
         edges = [row for row in own if row.get("channel", "") == channel]
         table: Table = [("edges", "MTF50", "where")]
-        if len({_field_mm(row) for row in edges}) > 1:
-            for words, pick in (("nearest the center", min), ("farthest out", max)):
-                row = pick(edges, key=_field_mm)
-                table.append((words, _quantity(row, sign), f"{_field_mm(row):.2f} mm, {_where(row)}"))
+        places = [_place(row, files) for row in edges]
+        radius = [r for r, _ in places]
+        if max(radius, default=0.0) > min(radius, default=0.0):
+            for words, share in PLACES:
+                i = min(range(len(edges)), key=lambda i, share=share: abs(radius[i] - share * max(radius)))  # type: ignore[misc]
+                table.append((words, _quantity(edges[i], sign), f"{places[i][1]}, {_where(edges[i])}"))
         if len(edges) > 1:
             for words, pick in (("sharpest", max), ("least sharp", min)):
                 row = pick(edges, key=lambda r: float(r["value"]))
@@ -95,8 +103,16 @@ def _sharpness(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
         yield f"sharpness, channel {channel}, {len(edges)} edges", table
 
 
-def _field_mm(row: Row) -> float:
-    return math.hypot(row.get("field_x_mm") or 0.0, row.get("field_y_mm") or 0.0)
+def _place(row: Row, files: Files) -> tuple[float, str]:
+    """Distance from the middle of the field and how to say it: of the file's frame where that is known, else on the sensor."""
+    shape = files.get(str(row.get("file", "")), {}).get("shape")
+    corners = str(row.get("region", "")).split(",")
+    if shape and len(corners) == 4 and all(c.isdigit() for c in corners):
+        row0, row1, col0, col1 = map(int, corners)
+        share = math.hypot(row0 + row1 - shape[0], col0 + col1 - shape[1]) / math.hypot(*shape)
+        return share, f"{100 * share:.0f} % of the half diagonal"
+    radius_mm = math.hypot(row.get("field_x_mm") or 0.0, row.get("field_y_mm") or 0.0)
+    return radius_mm, f"{radius_mm:.2f} mm"
 
 
 def _where(row: Row) -> str:

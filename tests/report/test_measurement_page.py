@@ -111,10 +111,21 @@ def test_sharpness_is_told_by_place_and_by_extremes():
     found = {line[0]: (line[1].split()[0], line[2].split()[-1]) for line in table[1:]}
     assert found == {
         "nearest the center": ("0.300", "a"),
+        "part way": ("0.250", "c"),
         "farthest out": ("0.200", "b"),
         "sharpest": ("0.300", "a"),
         "least sharp": ("0.200", "b"),
     }
+
+
+def test_edges_of_a_file_lie_where_their_regions_are():
+    regions = {"0,20,0,20": 0.3, "40,60,40,60": 0.2, "10,30,40,60": 0.25}
+    rows = [_mtf50(value, 0.0, "s") | {"region": region, "file": "a.dng"} for region, value in regions.items()]
+    ((_, table),) = headline_tables(rows, files={"a.dng": {"shape": [100, 100]}})
+    found = {line[0]: line[2] for line in table[1:]}
+    # half diagonal of 100 x 100 px: 70.7 px; the region about (10, 10) lies 56.6 px from the middle, its neighbour's 0
+    assert found["nearest the center"] == "0 % of the half diagonal, 40,60,40,60"
+    assert found["farthest out"] == "80 % of the half diagonal, 0,20,0,20"
 
 
 def test_the_page_fits_a_phone_and_a_desk(flats, tmp_path):

@@ -87,12 +87,12 @@ def metric_lines(metrics: Sequence[Metric], *, files: Sequence[str], brief: bool
     return lines
 
 
-def headline_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def headline_lines(rows: Sequence[Mapping[str, Any]], files: Mapping[str, Mapping[str, Any]] | None = None) -> list[str]:
     """The numbers that people ask for first."""
     from isetval.app.headline import headline_tables
 
     lines: list[str] = []
-    for title, table in headline_tables(rows):
+    for title, table in headline_tables(rows, files=files):
         lines += [f"# {title}", *text_table(table[0], table[1:])]
     return lines
 

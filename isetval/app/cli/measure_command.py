@@ -121,7 +121,9 @@ def _with_pages(outcome: Outcome, args: argparse.Namespace, console: Console, dr
 
         if suffix in (".pdf", ".png"):
             return measurement_picture(sheets, suffix[1:])
-        return measurement_html(whole, headline_tables(whole["metrics"], sign="±"), sheets).encode("utf-8")
+        return measurement_html(whole, headline_tables(whole["metrics"], files=whole.get("files"), sign="±"), sheets).encode(
+            "utf-8"
+        )
 
     return replace(outcome, result=result, lines=lines, page=page)
 
@@ -257,7 +259,7 @@ def _file_lines(found: FileMeasurement, rows: Sequence[Mapping[str, Any]], *, br
         head = file_lines(file, about, brief=brief)
         quality = [f"  {note.partition(': ')[2]}" for note in found.notes if _of_quality(note, file) and not brief]
         lines += [*head[:2], *quality, *head[2:]]
-    lines += headline_lines(rows)
+    lines += headline_lines(rows, found.files)
     lines += metric_lines([m for _, m in found.metrics], files=[f for f, _ in found.metrics], brief=brief)
     if brief:
         lines.append(f"# measured {len(found.files)} of {len(found.files) + len(found.skipped)} files")
