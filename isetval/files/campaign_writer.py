@@ -67,7 +67,7 @@ def write_campaign(
             shot.name: _write_frames(scratch, campaign, shot, frames, model)
             for shot, frames in (captures if captures is not None else _own(campaign))
         }
-        _write_tables(campaign, scratch, files, remarks)
+        write_tables(campaign, scratch, files, remarks)
         if target.is_dir():
             target.rmdir()
         os.replace(scratch, target)
@@ -152,7 +152,8 @@ def _noise(model: CameraModel | None) -> Any:
     return [noise_profile(gain_dn_per_e=gain, read_noise_dn=read_e * gain, sensor=model.sensor)]
 
 
-def _write_tables(campaign: Campaign, folder: Path, files: Mapping[str, tuple[str, ...]], remarks: Iterable[str]) -> None:
+def write_tables(campaign: Campaign, folder: Path, files: Mapping[str, tuple[str, ...]], remarks: Iterable[str]) -> None:
+    """Write ``campaign.toml`` for captures that lie in ``folder`` already, with the spectra that it names."""
     import tomlkit
 
     document = tomlkit.document()

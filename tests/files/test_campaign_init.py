@@ -293,3 +293,39 @@ def test_boxes_of_a_tilted_chart_lie_inside_its_patches():
         cols, rows = np.sort(quad[:, 0]), np.sort(quad[:, 1])
         upright = np.array([rows[1], rows[2], cols[1], cols[2]]) + 0.5  # pixel centres to half-open borders
         assert np.abs(np.array([row0, row1, col0, col1]) - upright).max() <= 2
+
+
+def _with_spectra(folder):
+    """What a person adds: the lights' spectra and the chart's reflectances, which no file can say."""
+    import re
+
+    from foreign_camera import campaign, scene, sensor, spectra
+
+    campaign._write_spectra(folder, sensor.nominal_camera(data_folder() / "pixel4a"))
+    text = (folder / "campaign.toml").read_text()
+    for light in spectra.LIGHTS:
+        text = re.sub(rf"(\[light\.{light}\]\n)radiance = .*\ncolumn = .*\nscale = .*\n", rf'\1radiance = "{light}.csv"\n', text)
+    head, *charts = text.split("[target.chart_")
+    for i, chart in enumerate(charts):
+        names = iter(spectra.reflectances())
+        chart = re.sub(r"reflectance = [0-9.]+ \}", lambda _, n=names: f'reflectance = "patches.csv:{next(n)}" }}', chart)
+        charts[i] = chart.replace("surround = 0.05", f"surround = {scene.CHART_SURROUND}")
+    (folder / "campaign.toml").write_text("[target.chart_".join([head, *charts]))
+
+
+@pytest.mark.slow
+def test_from_the_folder_to_the_hidden_effect_without_an_editor_but_for_the_spectra(tmp_path):
+    """Ten minutes on a busy machine: init, compare, diagnose; read noise of .7 e- is hidden in quadrature."""
+    write_lab(tmp_path, data_folder() / "pixel4a", seed=SEED, places=1, hidden={"read_noise": {"extra_e": 0.7}}, blur_chart=True)
+    assert main(["campaign", "init", str(tmp_path), "--camera", CAMERA, "-q"]) == 0
+    _with_spectra(tmp_path)
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    found = isetval.diagnose(model, isetval.load_campaign(tmp_path)).to_json()
+    assert found["verdict"] == "attributed"
+    (effect,) = found["effects"]
+    assert effect["name"] == "read_noise"
+    value = effect["parameters"]["sigma_e"]
+    assert abs(value["value"] - np.hypot(2.954, 0.7)) < 4 * value["sigma"]
+    rows = [r for r in found["ladder"] if r["model"].endswith("read_noise") and r["mean_square_z"] is not None]
+    for row in rows:  # nothing that init read off the files is wrong: every family agrees within its own scatter
+        assert row["mean_square_z"] < 1 + 4.5 * np.sqrt(2 / row["n"]), row

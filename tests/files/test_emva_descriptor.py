@@ -192,3 +192,20 @@ def test_the_real_set_is_measured():
     assert found["quantum_efficiency", "A"] * found["gain_dn_per_e", "A"] == pytest.approx(45.2 * 0.28006, rel=0.02)
     assert found["read_noise_e", "A"] == pytest.approx(10.92, rel=0.05)
     assert found["prnu", "A"] == pytest.approx(0.265, rel=0.1)
+
+
+def test_campaign_init_recognises_it_and_the_numbers_stay(lab, tmp_path, capsys):
+    import shutil
+
+    from isetval.app.cli import main
+
+    folder = shutil.copytree(lab, tmp_path / "set")
+    before = isetval.load_campaign(folder)
+    assert main(["campaign", "init", str(folder)]) == 0
+    assert "18 shots (9 flat, 9 dark)" in capsys.readouterr().out
+    after = isetval.load_campaign(folder)
+    names = [f"flat_{i:03d}" for i in range(4)]
+    one, two = (isetval.measure_campaign(c.only(names)) for c in (before, after))
+    assert [(m.name, m.value, m.sigma) for m in one.metrics] == [(m.name, m.value, m.sigma) for m in two.metrics]
+    assert main(["campaign", "init", str(folder)]) == 3
+    assert "exists already" in capsys.readouterr().err

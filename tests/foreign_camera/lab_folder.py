@@ -71,8 +71,8 @@ def _chart(corner):
     return Chart("chart", boxes)
 
 
-def write_lab(folder, nominal_folder, *, seed, places=8, hidden=None):
-    """Shoot both visits into ``folder``; returns the true shots."""
+def write_lab(folder, nominal_folder, *, seed, places=8, hidden=None, blur_chart=False):
+    """Shoot both visits into ``folder``; returns the true shots.  Charts are sharp unless ``blur_chart``, which takes time."""
     folder = Path(folder)
     nominal = nominal_camera(nominal_folder)
     lights = campaign.lights_of(nominal)
@@ -83,7 +83,7 @@ def write_lab(folder, nominal_folder, *, seed, places=8, hidden=None):
         for where, place, frames in shots(session, places):
             planned = plan.Planned(place, f"{session} {where}", session, frames)
             names = []
-            for codes in campaign.shoot(planned, camera, lights, seed, blur_chart=False):
+            for codes in campaign.shoot(planned, camera, lights, seed, blur_chart=blur_chart):
                 number, now = number + 1, now + timedelta(seconds=40)
                 name = f"{where}/IMG_{number:04d}.dng"
                 (folder / where).mkdir(parents=True, exist_ok=True)

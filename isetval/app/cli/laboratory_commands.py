@@ -129,7 +129,11 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.core.cache import file_hash
     from isetval.files.draft import draft_campaign, write_draft
     from isetval.files.draft_text import sentences
+    from isetval.files.emva_descriptor import find_emva_descriptor
 
+    descriptor = find_emva_descriptor(args.folder)
+    if descriptor is not None:
+        return _init_from_descriptor(descriptor, args.camera, console)
     console.say(f"reading the files of {args.folder}")
     draft = draft_campaign(args.folder, role=args.role, camera=args.camera, progress=console.progress)
     path = write_draft(draft, args.folder)
@@ -153,6 +157,30 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
         "notes": list(draft.notes),
     }
     return Outcome(result, lines, FINE, {str(path): file_hash(path)})
+
+
+def _init_from_descriptor(descriptor: Path, camera: str, console: Console) -> Outcome:
+    """The series of an EMVA 1288 descriptor as a campaign.toml."""
+    from isetval.core.cache import file_hash
+    from isetval.files.emva_draft import write_emva_campaign
+
+    console.say(f"reading the series of {descriptor}")
+    path, campaign = write_emva_campaign(descriptor, camera=camera)
+    roles = [shot.role for shot in campaign.shots]
+    lines = [f"{path}: {len(roles)} shots ({roles.count('flat')} flat, {roles.count('dark')} dark) of {descriptor.name}"]
+    lines += [f"not known: {note}" for note in campaign.notes]
+    lines.append(f"next: isetval measure {descriptor.parent}")
+    result = {
+        "kind": "campaign init",
+        "file": str(path),
+        "page": None,
+        "shots": len(roles),
+        "roles": {role: roles.count(role) for role in dict.fromkeys(roles)},
+        "unknown": [],
+        "skipped": [],
+        "notes": list(campaign.notes),
+    }
+    return Outcome(result, lines, FINE, {str(path): file_hash(path), str(descriptor): file_hash(descriptor)})
 
 
 def left_out_lines(skipped: Sequence[tuple[str, str]]) -> list[str]:
