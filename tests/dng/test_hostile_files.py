@@ -168,7 +168,8 @@ PIECE = lossless_jpeg(random_mosaic(high=4096), bits=12)
     ("piece", "words"),
     [
         (PIECE[:-2], "does not end with an end-of-image marker"),
-        (PIECE[:-2] + b"\0\0" + PIECE[-2:], "bytes of coded samples where its picture needs"),
+        (PIECE[:-2] + b"\0\x12" + PIECE[-2:], "bytes of coded samples where its picture needs"),
+        (PIECE[:-2] + bytes(5) + PIECE[-2:], "bytes of coded samples where its picture needs"),
         (jpeg_with(PIECE, b"\xff\xda", b"\xff\xdd\0\4\0\5\xff\xda"), "restart intervals"),
         (jpeg_with(PIECE, b"\1\0\0\1\0\0", b"\1\0\0\1\0\1"), "point transform"),
         (jpeg_with(PIECE, b"\1\0\0\1\0\0", b"\1\0\0\0\0\0"), "predictor 0"),
@@ -189,6 +190,14 @@ def test_whole_pieces_of_every_predictor(make_dng, predictor, components):
     mosaic = random_mosaic(high=65536)
     piece = lossless_jpeg(mosaic, components=components, predictor=predictor)
     path = make_dng(mosaic, pieces=[piece], t259=(3, [7]), t50717=(4, [65535]))
+    np.testing.assert_array_equal(read_dng(path).mosaic, mosaic)
+
+
+@pytest.mark.parametrize("padding", [b"\0", b"\xff\0", b"\0\0\0\0", b"\xff\0\0\xff\0", b"\xff", b"\xff\xff"])
+def test_padding_before_the_end_marker(make_dng, padding):
+    """Zeros, stuffed ones and repeated marker bytes are what encoders fill up with."""
+    mosaic = random_mosaic(high=4096)
+    path = make_dng(mosaic, pieces=[PIECE[:-2] + padding + PIECE[-2:]], t259=(3, [7]), t50717=(4, [4095]))
     np.testing.assert_array_equal(read_dng(path).mosaic, mosaic)
 
 

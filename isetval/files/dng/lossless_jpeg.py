@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 SOI, EOI, DHT, SOF3, SOS, DRI = 0xD8, 0xD9, 0xC4, 0xC3, 0xDA, 0xDD
 FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 CATEGORIES = 17  # 0 to 16 bits of difference (table H.2)
+MOST_PADDING = 4  # bytes of zeros or ones that an encoder may leave between the last sample and the end marker
 MOST_SEGMENTS = 64  # before the scan: encoders write 3 to 8
 Lengths = NDArray[np.uint8]
 
@@ -36,6 +37,7 @@ class Piece:
     predictor: int
     code_bits: tuple[Lengths, ...]
     coded_bytes: int
+    tail: bytes
 
     @property
     def samples(self) -> int:
@@ -63,7 +65,7 @@ def read_piece(data: memoryview) -> Piece | str:
     if isinstance(coded, str):
         return coded
     rows, cols = int.from_bytes(frame[1:3], "big"), int.from_bytes(frame[3:5], "big")
-    return Piece(rows, cols, components, frame[0], predictor, code_bits, coded)
+    return Piece(rows, cols, components, frame[0], predictor, code_bits, *coded)
 
 
 def _segments(data: memoryview) -> tuple[bytes, bytes, dict[int, Lengths], int] | str:
@@ -123,8 +125,8 @@ def _not_known(frame: bytes, scan: bytes) -> str | None:
     return None
 
 
-def _coded_bytes(data: memoryview) -> int | str:
-    """Bytes of coded data up to the end marker, stuffed zeros not counted."""
+def _coded_bytes(data: memoryview) -> tuple[int, bytes] | str:
+    """Number of coded bytes up to the end marker, stuffed zeros not counted, and the last of them."""
     codes = np.frombuffer(data, np.uint8)
     marks = np.flatnonzero(codes[:-1] == 0xFF)
     follows = codes[marks + 1]
@@ -137,7 +139,8 @@ def _coded_bytes(data: memoryview) -> int | str:
     # an encoder may repeat the 0xFF before a marker
     while end > 0 and codes[end - 1] == 0xFF:
         end -= 1
-    return end - int(np.count_nonzero((follows == 0) & (marks < end)))
+    tail = bytes(data[max(0, end - 2 * MOST_PADDING) : end]).replace(b"\xff\0", b"\xff")
+    return end - int(np.count_nonzero((follows == 0) & (marks < end))), tail
 
 
 def why_not_whole(piece: Piece, samples: NDArray[np.uint16], *, old_sixteen: bool = False) -> str | None:
@@ -162,9 +165,10 @@ def why_not_whole(piece: Piece, samples: NDArray[np.uint16], *, old_sixteen: boo
         if not spent.all():
             return "holds a code that its table does not have"
         total += int(spent.sum(dtype=np.int64))
-    if -(-total // 8) != piece.coded_bytes:
-        return f"holds {piece.coded_bytes} bytes of coded samples where its picture needs {-(-total // 8)}"
-    return None
+    needed = -(-total // 8)
+    spare = piece.coded_bytes - needed
+    padded = 0 <= spare <= MOST_PADDING and set(piece.tail[len(piece.tail) - spare :]) <= {0x00, 0xFF}
+    return None if padded else f"holds {piece.coded_bytes} bytes of coded samples where its picture needs {needed}"
 
 
 @lru_cache(maxsize=8)  # the pieces of a picture mostly share their tables
