@@ -19,7 +19,6 @@ from isetval.scenes import load_scene
 from isetval.scenes.rendered.placing import project_px
 
 ROOT = Path(__file__).resolve().parents[1] / "data"
-FOCAL_MM = 4.38  # the phone's Exif; not in the paper
 HEAD = "# Written by analyses/make_cornell_plan.py.  Licence: that of the project.  Source: own numbers.\n"
 CHART = """{head}# The box with its chart on the rear wall, {words}.
 kind = "cornell_box"
@@ -112,8 +111,7 @@ def main() -> None:
             name=f"chart_{place}", role="scene", setup=f"chart_{place}", target=place, time=0.04, frames=3, window=window
         )
     text += '[target.edges]\nkind = "scene"\nfile = "isetval:scenes/slanted_edges.toml"\n\n'
-    text += "# focus_um: shift of the sensor from the edge's image, image distances of a thin lens, f 4.38 mm\n"
-    image_mm = {text: 1 / (1 / FOCAL_MM - 1 / (float(text) * 1e3)) for text in ("0.3", "0.5")}
+    text += "# distance_m is that of the edge, focus_m what the lens is focused on: the camera model makes the blur of both\n"
     for focus in ("0.5", "0.3"):
         for index, distance in enumerate(("0.5", "0.3")):
             shot = SHOT.format(
@@ -125,8 +123,7 @@ def main() -> None:
                 frames=3,
                 window=edge_window(index),
             )
-            shift_um = (image_mm[focus] - image_mm[distance]) * 1e3
-            shots += shot + f"distance_m = {distance}\nfocus_um = {shift_um:.2f}\n"
+            shots += shot + f"distance_m = {distance}\nfocus_m = {focus}\n"
     (ROOT / "pixel4a" / "cornell_box.toml").write_text(text + shots)
 
 

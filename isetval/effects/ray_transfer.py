@@ -14,15 +14,18 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter, table_file
 from isetval.core.errors import InputError
-from isetval.core.signal import Signal
+from isetval.core.signal import Layer, Signal
 from isetval.core.toml import resolve_path
 from isetval.effects.pupil import CircularPupil, axial_um, field_point, thin_lens_shift_um
 from isetval.lens.field_table import field_table
 from isetval.lens.focus import film_for_object, object_for_film
+from isetval.lens.illumination import effective_f_number
 from isetval.lens.lens_file import open_lens
 from isetval.lens.measured_lens import MeasuredLens, read_measured_lens
 from isetval.lens.ray_transfer import RayTransferLens
 from isetval.lens.spot_table import SpotTable, spot_table
+from isetval.scenes.rendered.lens_view import LensView, lens_view
+from isetval.scenes.rendered.rendered_target import RenderedScene
 
 Float = NDArray[np.float64]
 REACH_STEP_MM, DECENTER_MM = 0.05, 0.3  # tables end beyond the corner by the largest decentre, at a whole step
@@ -143,6 +146,8 @@ class RayTransfer(Effect):
     nuisance and ``film_shift_um`` come on top.  The object is at the shot's ``distance_m``, else where the film is in
     focus.  One point spread per shot, that of the window's middle.  The light factor is the *named* place for a file
     whose pupil is too small; it does not change the blur.  A measured MTF holds at best focus; defocus multiplies it.
+    Rendered scenes are imaged as a whole, with the lens's distortion and a blur by field and depth (a decentre moves
+    their light, not their geometry); a measured table blurs their pinhole picture.
     """
 
     name = "ray_transfer"
@@ -203,8 +208,15 @@ class RayTransfer(Effect):
         film = round(film + 1e-3 * self._shift_um(context), 7)
         table = field_table(lens, reach)
         light = table.irradiance(self._radius_mm(*context.xy_mm()), film_mm=film, wavelength_nm=signal.wavelength_nm)
-        pupil = TracedPupil(lens, reach, object_m, film, self._point_mm(context), context.sensor.pixel_um)
+        pupil: Any = TracedPupil(lens, reach, object_m, film, self._point_mm(context), context.sensor.pixel_um)
         angle = partial(self._chief_ray_deg, curve=partial(table.chief_ray_angle_deg, film_mm=film))
+        if any(isinstance(layer.structure, RenderedScene) for layer in signal.layers):
+            pupil = CircularPupil(float(effective_f_number(lens, film_mm=film)), context.sensor.pixel_um)  # of further defocus
+            view = _view(lens, film, context.sensor.half_diagonal_mm)
+            centred = table.irradiance(np.asarray(np.hypot(*context.xy_mm())), film_mm=film)
+            moved = table.irradiance(self._radius_mm(*context.xy_mm()), film_mm=film) / centred
+            layers = tuple(_imaged(layer, view, light * self.light_factor, moved * self.light_factor) for layer in signal.layers)
+            return replace(signal, layers=layers, unit="irradiance", pupil=pupil, chief_ray_deg=angle)
         return replace(signal.scaled(light * self.light_factor), unit="irradiance", pupil=pupil, chief_ray_deg=angle)
 
     def _measured(self, signal: Signal, context: Context, lens: MeasuredLens) -> Signal:
@@ -249,6 +261,19 @@ class RayTransfer(Effect):
     def _chief_ray_deg(self, x_mm: Float, y_mm: Float, *, curve: Any) -> Float:
         """Chief ray angle at film places."""
         return np.asarray(curve(self._radius_mm(x_mm, y_mm)))
+
+
+def _imaged(layer: Layer, view: LensView, light: Float, moved: Float) -> Layer:
+    """A layer of a rendered scene behind the lens: the scene is imaged as a whole, a decentre moves its light alone."""
+    if isinstance(layer.structure, RenderedScene):
+        return Layer(layer.amplitude * moved, layer.structure.through(view))
+    return Layer(layer.amplitude * light, layer.structure)
+
+
+@lru_cache(maxsize=16)
+def _view(lens: RayTransferLens, film_mm: float, half_diagonal_mm: float) -> LensView:
+    """Where the lens looks, with room for the margins of rendered windows; kept."""
+    return lens_view(lens, film_mm=film_mm, reach_mm=1.05 * half_diagonal_mm + DECENTER_MM)
 
 
 @lru_cache(maxsize=64)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from lens_models import thin_lens
 
-from isetval.app.plots.lens import audit_figure, focus_figure, mtf_figure, spot_figure
+from isetval.app.plots.lens import audit_figure, depth_of_field_figure, focus_figure, mtf_figure, spot_figure
 from isetval.lens.auditing import audit
 from isetval.lens.known_lenses import default_lens
 
@@ -24,3 +25,18 @@ def test_lens_figures_have_one_curve_per_field_and_direction() -> None:
     assert len(spot_figure(lens, heights_mm=[0.0, 1.0], film_mm=4.45).axes) == 2
     curve = focus_figure(lens, objects_m=(0.3, 1.0)).axes[0].lines[0].get_ydata()
     assert curve[0] > curve[1]
+
+
+def test_depth_of_field_peaks_at_the_focus_and_is_the_jinc_of_the_defocus_disc() -> None:
+    from scipy.special import j1
+
+    focal, f_number, focus, near = 4.4, 8.0, 0.5, 0.2
+    lens = thin_lens(focal, f_number)
+    line = depth_of_field_figure(lens, focus_m=[focus], frequency_cy_mm=50.0, objects_m=[near, focus, 5.0]).axes[0].lines[0]
+    found = line.get_ydata()
+    assert found[1] == max(found)
+    # diameter of the blur: pupil times the difference of the image distances over that of the object
+    images = [1 / (1 / focal - 1e-3 / distance) for distance in (focus, near)]
+    x = np.pi * 50.0 * focal / f_number * (images[1] - images[0]) / images[1]
+    # the sharp value holds the diffraction of both, to a percent
+    assert found[0] / found[1] == pytest.approx(abs(2 * j1(x) / x), abs=0.02)

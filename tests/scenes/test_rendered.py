@@ -1,5 +1,6 @@
 """Rendered scenes as signals of the simulation chain."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,11 @@ from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene, Spectrum
 from isetval.core.sensor import Sensor
+from isetval.effects.ray_transfer import RayTransfer
+from isetval.lens import default_lens
+from isetval.lens.focus import film_for_object
 from isetval.scenes.rendered.accumulation import Render
+from isetval.scenes.rendered.lens_view import lens_view
 from isetval.scenes.rendered.own_spectra import lamp
 from isetval.scenes.rendered.rendered_target import Picture, rendered_mean, rendered_radiance
 
@@ -126,3 +131,26 @@ def test_other_targets_are_refused():
     with pytest.raises(InputError, match="not a scene"):
         rendered_radiance(Scene(GRID, np.ones(GRID.size)), context())
     assert Spectrum.flat(1.0).at(500) == 1
+
+
+def test_a_lens_file_images_a_rendered_scene_as_its_pinhole_picture_times_its_light():
+    lens = default_lens()
+    render = {"spp": 128, "halo_px": 2, "bands": 2}
+    film = film_for_object(lens, 0.5)
+    view = lens_view(lens, film_mm=film, reach_mm=4.0)
+    spec = {"camera": {"front": {"z_m": 0.4, "focal_mm": view.focal_mm}}, "render": render}
+    sharp = rendered_radiance(scene(1.0, spec=spec), context())
+    out = RayTransfer(file="isetval:lens/default_lens.json", focus_distance_m=0.5, light_factor=2.0).apply(sharp, context())
+    x, y = context().xy_mm()
+    wanted = sharp.values * 2.0 * lens.irradiance_factor(x, y, film_mm=film)
+    found = replace(out, pupil=None).values  # means over pixels, as those of the pinhole
+    # two renders with noise of their own; the rest for what blur and distortion move over the border
+    made = sharp.layers[0].structure.pinhole.render
+    noise = np.sqrt(made.variance[0].sum(dtype=float)) / made.radiance[0].sum(dtype=float)
+    np.testing.assert_allclose(found.mean(axis=(1, 2)) / wanted.mean(axis=(1, 2)), 1.0, atol=4 * np.sqrt(2) * noise + 2e-3)
+    assert noise < 0.01
+    np.testing.assert_allclose(out.chief_ray_deg(x, y), lens.chief_ray_angle_deg(np.hypot(x, y), film_mm=film), atol=0.02)
+    again = RayTransfer(file="isetval:lens/default_lens.json", focus_distance_m=0.5, decenter_x_um=100.0).apply(sharp, context())
+    again = replace(again, pupil=None)
+    moved = lens.irradiance_factor(x - 0.1, y, film_mm=film) / lens.irradiance_factor(x, y, film_mm=film)
+    np.testing.assert_allclose(again.values / found, np.broadcast_to(moved / 2.0, found.shape), rtol=1e-3)

@@ -115,3 +115,45 @@ def focus_figure(lens: RayTransferLens, *, objects_m: Sequence[float] = (0.1, 0.
     axis.set_ylabel("film to rear vertex (mm)")
     axis.grid(alpha=0.3)
     return figure
+
+
+def depth_of_field_figure(
+    lens: RayTransferLens,
+    *,
+    focus_m: Sequence[float],
+    frequency_cy_mm: float = 100.0,
+    objects_m: Sequence[float] | None = None,
+    height_mm: float = 0.0,
+) -> Figure:
+    """MTF at one frequency over the distance of the object, one pair of curves a focus distance (dashed: sagittal).
+
+    Parameters
+    ----------
+    focus_m : sequence
+        Distances on which the lens is focused, from the front vertex; each is a vertical line.
+    frequency_cy_mm : float
+        Frequency on the film.
+    objects_m : sequence, optional
+        Distances of the object; by default 40 from half the nearest to twice the furthest focus.
+    height_mm : float
+        Field height on the film.
+    """
+    from matplotlib.figure import Figure
+
+    objects = np.geomspace(0.5 * min(focus_m), 2 * max(focus_m), 40) if objects_m is None else np.asarray(objects_m, float)
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axis = figure.subplots()
+    for i, distance in enumerate(focus_m):
+        film = film_for_object(lens, distance)
+        pairs = [mtf(lens, [frequency_cy_mm], r_mm=height_mm, film_mm=film, object_m=float(o)) for o in objects]
+        for direction, style in ((0, "-"), (1, "--")):
+            label = f"focus {distance:g} m, film {film:.4f} mm" if direction == 0 else None
+            axis.semilogx(objects, [pair[direction][0] for pair in pairs], style, color=f"C{i}", label=label)
+        axis.axvline(distance, color=f"C{i}", linewidth=0.8, linestyle=":")
+    axis.set_xlabel("object to front vertex (m)")
+    axis.set_ylabel(f"MTF at {frequency_cy_mm:g} cycles/mm")
+    axis.set_ylim(0, 1.02)
+    axis.set_title(f"{lens.name}, image height {height_mm:g} mm", fontsize=9)
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return figure

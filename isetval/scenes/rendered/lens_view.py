@@ -50,9 +50,20 @@ class Region(Protocol):
 class Lens(Protocol):
     """A ray-transfer lens, see `isetval.lens.ray_transfer.RayTransferLens`."""
 
-    name: str
-    thickness_mm: float
-    plane_offset_input_mm: float
+    @property
+    def name(self) -> str:
+        """For messages."""
+        ...
+
+    @property
+    def thickness_mm(self) -> float:
+        """Rear to front vertex."""
+        ...
+
+    @property
+    def plane_offset_input_mm(self) -> float:
+        """Input plane to rear vertex."""
+        ...
 
     @property
     def wavelengths_nm(self) -> tuple[float, ...]:
@@ -67,16 +78,16 @@ class Lens(Protocol):
         """Film to input plane."""
         ...
 
-    def trace(self, film_point_mm: ArrayLike, direction: ArrayLike, **options: Any) -> Any:
+    def trace(
+        self, film_point_mm: ArrayLike, direction: ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    ) -> Any:
         """Rays from the film to the scene."""
         ...
 
-    def irradiance_factor(self, x_mm: ArrayLike, y_mm: ArrayLike, **options: Any) -> Float:
+    def irradiance_factor(
+        self, x_mm: ArrayLike, y_mm: ArrayLike, *, film_mm: float | None = None, wavelength_nm: float | None = None
+    ) -> Float:
         """E/L in sr."""
-        ...
-
-    def otf(self, fx: ArrayLike, fy: ArrayLike, **options: Any) -> Complex:
-        """Optical transfer function."""
         ...
 
 

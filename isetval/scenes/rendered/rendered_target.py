@@ -8,19 +8,23 @@ new render; walls, black and chart reflectances do, with common random numbers.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import content_hash
 from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene, Spectrum
 from isetval.core.signal import Layer, Signal, Transfer
 from isetval.scenes.planar import target_field
 from isetval.scenes.rendered.accumulation import Progress, Render
+from isetval.scenes.rendered.lens_view import LensView, pupil_camera, pupil_crop
 from isetval.scenes.rendered.rendering import render
 from isetval.scenes.rendered.scene_file import LoadedScene, parse_scene
 from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
@@ -28,6 +32,8 @@ from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
 Float = NDArray[np.float64]
 FINE_PX = 2_000_000
 COARSE_PX = 64
+KEEP = 8  # pictures behind a lens that are kept: a diagnosis asks for the same few again and again
+_IMAGED: OrderedDict[str, Picture] = OrderedDict()
 
 
 def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | None = None, draw: int | None = None) -> Signal:
@@ -48,7 +54,7 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
     Returns
     -------
     Signal
-        Sharp, with the render on a grid finer than the pixels: pixel aperture and blur are still to come.
+        Sharp, rendered when it is sampled on a grid finer than the pixels: lens, pixel aperture and blur are still to come.
 
     Raises
     ------
@@ -57,11 +63,8 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
     """
     if not isinstance(scene.target, RenderedTarget):
         raise InputError("the shot's target is not a scene to be rendered")
-    loaded = load_target(scene)
     lamp = scene.white if np.any(scene.white > 0) else own_lamp(scene)
-    transport = _transport(loaded, scene, context, progress)
-    if draw is not None:
-        transport = replace(transport, render=transport.render.with_draw(draw))
+    transport = RenderedScene(load_target(scene), scene, context, progress, draw)
     rows, cols = context.window[2:]
     amplitude = (lamp[:, None, None] * target_field(scene, context))[..., :rows, :cols]
     layers = [Layer(amplitude, transport)]
@@ -122,30 +125,88 @@ def own_lamp(scene: Scene) -> Float:
     return Spectrum(np.array(lamp["wavelength_nm"]), values).band_means(scene.wavelength_nm)
 
 
-def _transport(loaded: LoadedScene, scene: Scene, context: Context, progress: Progress | None) -> Picture:
-    settings = loaded.settings
-    rows, cols = context.window[2:]
-    s = int(settings["subsample"]) if rows * cols * int(settings["subsample"]) ** 2 <= FINE_PX else 1
-    halo = int(settings["halo_px"])
-    camera = fine_camera(loaded.cameras[settings["camera"]], context, subsample=s, halo_px=halo)
-    row0, col0 = context.window[:2]
-    crop = (row0 * s, col0 * s, (rows + 2 * halo) * s, (cols + 2 * halo) * s)
-    shared: dict[str, Any] = {
-        "camera": camera,
-        "crop": crop,
-        "wavelength_nm": _bands(loaded, scene),
-        "spp": max(2, -(-int(settings["spp"]) // s**2)),
-        "seed": int(settings["seed"]),
-        "variant": settings["variant"] or None,
-        "progress": progress,
-    }
-    made = render(loaded.spec, **shared)
-    if scene.bounce:
-        direct = render({**loaded.spec, "bounces": 1}, **shared)
-        more = made.radiance + scene.bounce * (made.radiance - direct.radiance)
-        draws = made.draws + np.float32(scene.bounce) * (made.draws - direct.draws)
-        made = replace(made, radiance=np.maximum(more, 0), draws=draws)
-    return Picture(made, s, halo)
+@dataclass(frozen=True, eq=False)
+class RenderedScene:
+    """A scene that waits to be rendered: by a pinhole at the entrance pupil, or for a lens that looks at it."""
+
+    loaded: LoadedScene
+    scene: Scene
+    context: Context
+    progress: Progress | None = None
+    draw: int | None = None
+
+    def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """The picture of the pinhole, blurred and sampled; see `Picture.sample`."""
+        return self.pinhole.sample(amplitude, transfer, wavelength_nm)
+
+    @cached_property
+    def pinhole(self) -> Picture:
+        """The scene file's own camera, finer than the sensor's pixels."""
+        return Picture(self._rendered(self.camera, self._crop), self.subsample, self.halo_px)
+
+    def through(self, view: LensView) -> Picture:
+        """Irradiance behind a lens per unit radiance of the lamp: warped, blurred by depth and field, lit as the lens does.
+
+        Rendered from the lens's entrance pupil; `isetval.scenes.through_lens.image_space` on the finer grid.
+        """
+        from isetval.scenes.through_lens.image_space import image_space_irradiance
+
+        halo = self.halo_px * self.subsample
+        crop = pupil_crop(view, self.camera, self._crop, subsample=1, halo_px=halo)
+        made = self._rendered(pupil_camera(view, self.camera), crop)
+        place = (view.film_mm, view.slope, view.crossing_mm, self.camera, self._crop)
+        key = content_hash((made.radiance, made.depth_m, view.lens.name, place))
+        if key not in _IMAGED:
+            seen = image_space_irradiance(made, view, camera=self.camera, crop=self._crop, subsample=1, halo_px=halo)
+            while len(_IMAGED) >= KEEP:
+                _IMAGED.popitem(last=False)
+            _IMAGED[key] = Picture(replace(made, radiance=seen.irradiance, crop=self._crop), self.subsample, self.halo_px)
+        return _IMAGED[key]
+
+    @property
+    def subsample(self) -> int:
+        """Samples of the render along a pixel's side; 1 for large windows."""
+        rows, cols = self.context.window[2:]
+        wanted = int(self.loaded.settings["subsample"])
+        return wanted if rows * cols * wanted**2 <= FINE_PX else 1
+
+    @property
+    def halo_px(self) -> int:
+        """Margin around the window, in pixels, that holds the blur."""
+        return int(self.loaded.settings["halo_px"])
+
+    @property
+    def camera(self) -> dict[str, Any]:
+        """The scene file's camera with the shot's sensor."""
+        own = self.loaded.cameras[self.loaded.settings["camera"]]
+        return fine_camera(own, self.context, subsample=self.subsample, halo_px=self.halo_px)
+
+    @property
+    def _crop(self) -> tuple[int, int, int, int]:
+        """The window with its margin on the finer grid."""
+        row0, col0, rows, cols = self.context.window
+        s, halo = self.subsample, self.halo_px
+        return (row0 * s, col0 * s, (rows + 2 * halo) * s, (cols + 2 * halo) * s)
+
+    def _rendered(self, camera: dict[str, Any], crop: tuple[int, int, int, int]) -> Render:
+        """The transport seen by a pinhole camera, with the scene's bounce and the wanted draw of its error."""
+        settings, bounce = self.loaded.settings, self.scene.bounce
+        shared: dict[str, Any] = {
+            "camera": camera,
+            "crop": crop,
+            "wavelength_nm": _bands(self.loaded, self.scene),
+            "spp": max(2, -(-int(settings["spp"]) // self.subsample**2)),
+            "seed": int(settings["seed"]),
+            "variant": settings["variant"] or None,
+            "progress": self.progress,
+        }
+        made = render(self.loaded.spec, **shared)
+        if bounce:
+            direct = render({**self.loaded.spec, "bounces": 1}, **shared)
+            more = made.radiance + bounce * (made.radiance - direct.radiance)
+            draws = made.draws + np.float32(bounce) * (made.draws - direct.draws)
+            made = replace(made, radiance=np.maximum(more, 0), draws=draws)
+        return made if self.draw is None else made.with_draw(self.draw)
 
 
 def fine_camera(camera: Any, context: Context, *, subsample: int, halo_px: int) -> dict[str, Any]:
