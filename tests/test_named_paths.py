@@ -15,6 +15,7 @@ from isetval.core.toml import data_folder
 from isetval.files.campaign_writer import write_campaign
 from isetval.files.dng import DngInfo
 from isetval.files.draft import draft_campaign
+from isetval.files.draft_text import draft_text
 from isetval.scenes.rendered.scene_file import load_scene
 
 CAMERA = data_folder() / "pixel4a" / "camera.toml"
@@ -137,7 +138,7 @@ def test_text_of_tags_stays_text(tmp_path):
     evil = 'X"\ncamera = "/etc/passwd"\n[[nuisance]]\nparameter = "gotcha\x7f'
     noise = np.random.default_rng(1).normal(100, 5, (96, 96)).astype(int)
     isetval.write_dng(tmp_path / 'a "b"\x7f.dng', isetval.Capture.from_array(noise), info=DngInfo(make=evil, model=evil))
-    plain = tomllib.loads(draft_campaign(tmp_path).text)
+    plain = tomllib.loads(draft_text(draft_campaign(tmp_path)))
     assert "camera" not in plain
     assert [n["parameter"] for n in plain["nuisance"]] == ["light_level", "light_level", "light_tilt_x", "light_tilt_y"]
     assert plain["shot"][0]["files"] == ['a "b"\x7f.dng']

@@ -32,8 +32,9 @@ def draft_text(draft: Draft) -> str:
 
 
 def comment(text: str, *, indent: str = "# ") -> list[str]:
-    """Text as comment lines; line breaks that came out of a file's tags stay inside the comment."""
-    return [f"{indent}{line}".rstrip() for line in wrap(" ".join(text.split()), WIDTH, subsequent_indent="  ")]
+    """Text as comment lines; line breaks and control characters that came out of a file's tags stay inside the comment."""
+    plain = "".join(c if c.isprintable() else " " for c in text)
+    return [f"{indent}{line}".rstrip() for line in wrap(" ".join(plain.split()), WIDTH, subsequent_indent="  ")]
 
 
 def quoted(text: str) -> str:

@@ -49,8 +49,9 @@ def axis_of(rows: Sequence[Row]) -> tuple[str, str, Callable[[Row], Any]]:
         return "frequency, cy/px", "linear", lambda r: r.get("frequency_cy_px")
     if distinct(lambda r: r.get("patch") or None) > 2:
         return "patch", "names", lambda r: r.get("patch")
-    if distinct(_light) > 3 and distinct(_light) >= distinct(_radius) - 2:
-        name = "exposure time, s" if all(r.get("role") == "dark" for r in rows) else "light level x exposure time, s"
+    in_the_dark = all(r.get("role") == "dark" for r in rows)
+    if distinct(_light) > (1 if in_the_dark else 3) and distinct(_light) >= distinct(_radius) - 2:
+        name = "exposure time, s" if in_the_dark else "light level x exposure time, s"
         return name, "log", _light
     if distinct(_radius) > 1:
         return "field radius, mm", "linear", _radius

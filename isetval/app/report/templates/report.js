@@ -9,7 +9,7 @@
       button.setAttribute("aria-pressed", String(button.getAttribute("data-show") === index));
     });
     document.querySelectorAll("[data-cell]").forEach(function (cell) {
-      cell.style.opacity = cell.getAttribute("data-cell") === index ? "1" : ".45";
+      cell.style.opacity = cell.getAttribute("data-cell") === index ? "1" : ".65";
     });
   }
   buttons.forEach(function (button, place) {
