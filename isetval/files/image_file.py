@@ -163,8 +163,8 @@ def _png(path: Path, data: bytes) -> NDArray[Any]:
     bits, kind = data[24], data[25]
     _check_size(path, rows * cols * {0: 1, 2: 3, 6: 4}.get(kind, 2), 1 + bits // 16, data)
     if kind not in (0, 2, 6) or bits not in (8, 16):
-        words = {3: "a palette", 4: "grey levels with transparency"}.get(kind, f"{bits} bits a sample")
-        raise refusal(path, f"the PNG has {words}", "levels of 8 or 16 bits, grey or RGB", REMEDY)
+        words = {3: "a palette", 4: "gray levels with transparency"}.get(kind, f"{bits} bits a sample")
+        raise refusal(path, f"the PNG has {words}", "levels of 8 or 16 bits, gray or RGB", REMEDY)
     if kind != 0 and bits == 16:
         found = "the PNG has three channels of 16 bits, of which its decoder keeps 8"
         raise refusal(path, found, "a 16-bit TIFF, or a PNG of one channel", "save it as a TIFF")

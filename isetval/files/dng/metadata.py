@@ -1,4 +1,4 @@
-"""What a DNG says beside pixels and levels: identity, exposure, pitch, colour, noise and the shading it proposes.
+"""What a DNG says beside pixels and levels: identity, exposure, pitch, color, noise and the shading it proposes.
 
 Tags: DNG 1.4 specification; Exif 2.3.  Opcode lists (chapters 6 and 7 of the former) are big-endian
 whatever the file's byte order; this package reports their GainMaps and never applies them.
