@@ -6,7 +6,9 @@ import pytest
 import isetval
 from isetval import Capture, InputError, Sensor, read_dng
 from isetval.files.dng import write_dng
+from isetval.files.dng.sensor_window import OneBlack
 from isetval.files.draft import draft_campaign, write_draft
+from isetval.files.loose_files import file_reader, measure_files
 
 SENSOR = Sensor(400, 500, 1.4, "GRBG", 64.0, 1023.0)
 
@@ -67,3 +69,24 @@ def test_the_true_reason_is_said_where_file_and_campaign_disagree(wrong_tag):
     toml.write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match=r"none of its 2 files can be used; .*optical_black.*DN apart"):
         isetval.measure_campaign(isetval.load_campaign(wrong_tag))
+
+
+def test_loose_files_take_the_black_level_of_a_single_one(wrong_tag):
+    """A series is not split by the errors of its margins, and several files have the black level of one."""
+    paths = sorted(wrong_tag.glob("*.dng"))
+    alone = [read_dng(path) for path in paths]
+    assert alone[0].sensor != alone[1].sensor
+    read = file_reader()
+    assert [read(path).sensor for path in paths] == [alone[0].sensor] * 2
+    found = measure_files(paths, read=file_reader(), role="dark")
+    (level,) = {m.value for _, m in found.metrics if m.name == "black_level_dn" and m.channel == "R"}
+    assert level == pytest.approx(64, abs=0.1)
+    assert not any("differs_from_tag" in m.reason for _, m in found.metrics)
+
+
+def test_a_black_level_farther_off_is_kept(tmp_path):
+    flat = np.random.default_rng(3).integers(100, 200, (30, 40)).astype(np.uint16)
+    near, far = (Capture.from_array(flat, black_dn=black) for black in (64.3, 65.0))
+    shared = OneBlack()
+    assert shared(Capture.from_array(flat, black_dn=64.0)).sensor == shared(near).sensor
+    assert shared(far).sensor == far.sensor

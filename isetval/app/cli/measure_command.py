@@ -45,7 +45,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--black",
         choices=("auto", "tag", "optical"),
-        help="black level: optical black where it differs from the tag (auto: default for one file) or the tag (for several)",
+        help="black level: optical black where it differs from the tag (auto: the default), the tag, or optical black only",
     )
     p.add_argument("--raw-shape", metavar="ROWSxCOLS", type=raw_shape, help="the files are headerless raw of this size")
     p.add_argument("--cfa", help="colour pattern of headerless raw: RGGB, BGGR, GRBG, GBRG or MONO")
@@ -222,7 +222,7 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
         part, parts = args.shard
         paths = paths[part - 1 :: parts]
     single = len(paths) == 1
-    black = args.black or ("auto" if single else "tag")
+    black = args.black or "auto"
     console.say(f"measuring {len(paths)} files")
     asked = Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e)
     read = file_reader(black=black, raw=raw, channel=args.channel)

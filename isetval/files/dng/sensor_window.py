@@ -8,6 +8,7 @@ of its own, which converters keep or pass over.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import numpy as np
 
@@ -143,6 +144,25 @@ def place_on_sensor(
         )
     _check_black(capture, sensor, window, black_tolerance_dn, name)
     return Capture(capture.mosaic, sensor, window, capture.exposure, capture.provenance)
+
+
+class OneBlack:
+    """Captures of one sensor on the black level of the first of them, as a campaign has one.
+
+    Optical black is estimated for every file on its own; frames of a series whose levels lie within the tolerance share
+    the first one's.  A capture that lies farther off keeps its own.
+    """
+
+    def __init__(self, tolerance_dn: float = BLACK_TOLERANCE_DN) -> None:
+        self._tolerance_dn = tolerance_dn
+        self._first: dict[Sensor, Sensor] = {}
+
+    def __call__(self, capture: Capture) -> Capture:
+        """The same pixels, and the same capture if it is the first of its sensor."""
+        own = capture.sensor
+        first = self._first.setdefault(replace(own, black_dn=((0.0, 0.0), (0.0, 0.0))), own)
+        apart_dn = float(np.abs(np.subtract(own.black_dn, first.black_dn)).max())
+        return replace(capture, sensor=first) if 0 < apart_dn <= self._tolerance_dn else capture
 
 
 def _check_stated_place(capture: Capture, sensor: Sensor, window: Position, name: str) -> None:
