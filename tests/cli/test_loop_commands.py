@@ -268,7 +268,7 @@ def test_effects_prints_the_places_within_a_stage(run_json):
 
 @pytest.mark.parametrize(
     ("words", "name"),
-    [(("measure", "FLAT"), "x.png"), (("effects",), "x"), (("report", "R"), "x.json"), (("add", CAMERA, "prnu"), "x.json")],
+    [(("measure", "FLAT"), "x.tif"), (("effects",), "x"), (("report", "R"), "x.json"), (("add", CAMERA, "prnu"), "x.json")],
 )
 def test_a_kind_of_file_that_a_command_does_not_write_is_refused_before_any_work(run, flat_dng, tmp_path, words, name):
     given = [flat_dng if w == "FLAT" else w for w in words]
