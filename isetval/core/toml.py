@@ -85,6 +85,12 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         raise InputError(f"{path}: not a text file; a TOML file is needed") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: its lists are nested too deeply to be read; write them flat") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    except ValueError as error:  # whole numbers of more than 4300 digits
+        raise InputError(f"{path}: not valid TOML: {str(error)[:200]}") from None
 
 
 def check_keys(table: Any, where: str, *, known: Iterable[str], needed: Iterable[str] = ()) -> Mapping[str, Any]:
@@ -106,7 +112,15 @@ def number(table: Mapping[str, Any], key: str, where: str, default: float | None
     value = table.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where}: {key} is {value!r}; it needs a number")
-    return float(value)
+    return _float(value, key, where)
+
+
+def _float(value: float, key: str, where: str) -> float:
+    """A whole number of TOML may have any length."""
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{where}: {key} is a number of {len(str(value))} digits; it needs one below 1e308") from None
 
 
 def text(table: Mapping[str, Any], key: str, where: str, default: str = "") -> str:
@@ -132,4 +146,4 @@ def numbers(table: Mapping[str, Any], key: str, where: str, *, lengths: Iterable
     fits = isinstance(value, list) and len(value) in wanted
     if not fits or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value or []):
         raise InputError(f"{where}: {key} is {value!r}; it needs a list of {' or '.join(map(str, wanted))} numbers")
-    return tuple(float(v) for v in value or [])
+    return tuple(_float(v, key, where) for v in value or [])

@@ -18,6 +18,7 @@ folder above::
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -35,6 +36,7 @@ EXPOSURE_UNITS_S = {"exposure_s": 1.0, "exposure_ms": 1e-3, "exposure_us": 1e-6,
 NUMBERS = ("white_dn", "bits", "pixel_um", "iso", "f_number", "focus_m", "wavelength_nm", *EXPOSURE_UNITS_S)
 TEXTS = ("cfa", "channel", "encoding", "name_rule", "notes")
 KEYS = ("black_dn", "window", "sensor", "levels_only", *NUMBERS, *TEXTS)
+LARGEST_SIDE = 2**20  # pixels: 50 times the largest sensor made
 LONGEST_RULE = 500  # characters of a regular expression: a rule for names, not a program
 
 
@@ -120,7 +122,7 @@ def _for_name(table: Mapping[str, Any], name: str, where: str) -> dict[str, Any]
 
 def _sidecar(table: Mapping[str, Any], name: str, where: str) -> Sidecar:
     texts = {key: text(table, key, where) for key in TEXTS}
-    said = {key: number(table, key, where) for key in NUMBERS if key in table}
+    said = {key: _finite(number(table, key, where), key, where) for key in NUMBERS if key in table}
     from_name, labels = _name_says(texts["name_rule"], name, where)
     said = {key: value for key, value in said.items() if not (key in EXPOSURE_UNITS_S and _times(from_name))} | from_name
     _check_words(texts, where)
@@ -172,16 +174,24 @@ def _exposure(said: Mapping[str, float], where: str) -> Exposure:
 def _black(table: Mapping[str, Any], where: str) -> tuple[float, ...]:
     if "black_dn" not in table:
         return ()
-    value = table["black_dn"]
-    return numbers(table, "black_dn", where, lengths=(4,)) if isinstance(value, list) else (number(table, "black_dn", where),)
+    four = isinstance(table["black_dn"], list)
+    values = numbers(table, "black_dn", where, lengths=(4,)) if four else (number(table, "black_dn", where),)
+    return tuple(_finite(value, "black_dn", where) for value in values)
+
+
+def _finite(value: float, key: str, where: str) -> float:
+    """Infinity is a distance of focus, and nothing else."""
+    if not math.isfinite(value) and (key, value) != ("focus_m", math.inf):
+        raise InputError(f"{where}: {key} is {value}; it needs a finite number")
+    return value
 
 
 def _pair(table: Mapping[str, Any], key: str, where: str) -> tuple[int, int] | None:
     if key not in table:
         return None
     pair = numbers(table, key, where, lengths=(2,))
-    if any(v != int(v) or v < 0 for v in pair):
-        raise InputError(f"{where}: {key} is {list(pair)}; it needs two whole numbers of pixels, 0 or more")
+    if any(not 0 <= v <= LARGEST_SIDE or v != int(v) for v in pair):
+        raise InputError(f"{where}: {key} is {list(pair)}; it needs two whole numbers of pixels, 0 to {LARGEST_SIDE}")
     return int(pair[0]), int(pair[1])
 
 

@@ -161,12 +161,27 @@ def test_one_sidecar_for_a_folder(tmp_path):
         ({"name_rule": "("}, "no regular expression"),
         ({"name_rule": "(?P<iso>[a-z])"}, "iso = 'a'"),
         ({"white_dn": 10}, "white must lie above black"),
+        ({"white_dn": float("inf")}, "white_dn is inf; it needs a finite number"),
+        ({"black_dn": float("nan")}, "black_dn is nan"),
+        ({"bits": float("inf")}, "bits is inf"),
+        ({"bits": 10**400}, "bits is a number of 401 digits"),
+        ({"black_dn": [0, 0, 0, 10**400]}, "black_dn is a number of 401 digits"),
+        ({"window": [1e300, 0]}, "whole numbers of pixels, 0 to 1048576"),
     ],
 )
 def test_bad_sidecars(tmp_path, change, words):
     with pytest.raises(InputError) as caught:
         read_image(written(tmp_path / "a.tif", MOSAIC), LEVELS | change)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("bits = " + "9" * 5000, "not valid TOML"), ("a = " + "[" * 3000, "nested too deeply")]
+)
+def test_hostile_sidecars(tmp_path, text, words):
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_image(written(tmp_path / "a.tif", MOSAIC))
 
 
 def png(header, body=b""):
