@@ -1,7 +1,7 @@
 """A first ``campaign.toml`` for a laboratory's folder: read, group, register, relate the lights, write.
 
-The steps stand in files of their own: `folder_reading`, `shot_grouping`, `registration`, `light_levels`, `draft_priors`,
-`campaign_drafting`, `draft_text`.
+The steps stand in files of their own: `folder_reading`, `shot_grouping`, `recognition` with `registration`, `light_levels`,
+`campaign_drafting`, `draft_priors`, `draft_text`.
 """
 
 from __future__ import annotations
@@ -10,11 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from isetval.camera.model import CameraModel
-from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.scene import read_spectra
 from isetval.core.sensor import Sensor
@@ -25,16 +21,11 @@ from isetval.files.draft_priors import camera_words, light_priors, target_priors
 from isetval.files.draft_text import draft_text
 from isetval.files.draft_types import Draft, DraftPrior, Seen
 from isetval.files.file_facts import FileFacts
-from isetval.files.folder_reading import FolderFacts, read_folder
+from isetval.files.folder_reading import read_folder
 from isetval.files.light_levels import dark_levels, lit_setups
-from isetval.files.registration import DARK_SHARE, Content, patch_levels, recognized
-from isetval.files.shot_grouping import shot_groups
+from isetval.files.recognition import recognize_all
 
 Progress = Callable[[str, int, int], None]
-THUMBNAIL_PX = 240  # wide enough to see a chart's patches
-BRIGHT_PERCENTILE = 99.5
-LEAST_SIGNAL_DN = 1.0  # less than a code tells nothing
-LEAST_LIKENESS = 0.5  # ours: of gradients at the same places under another light; other pictures of one bench reach .2
 UNKNOWN_PITCH_UM = 1.0  # what a reader states where a file does not
 
 
@@ -63,7 +54,7 @@ def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str =
     folder = Path(folder)
     model, named = _camera(camera, folder)
     found = read_folder(folder, progress=progress)
-    seen = _recognized(found, role, progress)
+    seen = recognize_all(found, role=role, progress=progress)
     sensor = _sensor(found.facts, model, camera)
     work = drafted(seen, sensor, model, read_spectra(data_folder() / "spectra" / "illuminants.csv"))
     used = tuple(replace(one, shots=tuple(work.made.get(i, ()))) for i, one in enumerate(seen))
@@ -96,8 +87,9 @@ def write_draft(draft: Draft, folder: Path | str) -> Path:
         If ``campaign.toml`` exists or cannot be written.
     """
     path = Path(folder) / "campaign.toml"
-    if path.exists():
-        raise InputError(f"{path}: exists already; rename it first (nothing was written)")
+    for file in (path, path.with_suffix(".html")):  # the page is written next
+        if file.exists():
+            raise InputError(f"{file}: exists already; rename it first (nothing was written)")
     write_whole(path, draft_text(draft))
     return path
 
@@ -127,92 +119,6 @@ def _sensor(facts: Sequence[FileFacts], model: CameraModel | None, camera: str) 
             f"{largest.rows} x {largest.cols} and {largest.white_dn:g} DN; name the model of the camera that took them"
         )
     return mine
-
-
-def _recognized(found: FolderFacts, role: str | None, progress: Progress | None) -> list[Seen]:
-    """What each group shows; one that cannot be looked at is a scene of which nothing is known."""
-    groups = shot_groups(found.facts)
-    seen = []
-    for i, group in enumerate(groups):
-        capture = found.captures.take("", group.first.file)
-        try:
-            content = (
-                Content("scene", "its file can no longer be read") if capture is None else recognized(group, capture, role=role)
-            )
-        except Exception as error:  # one odd picture must not lose the others
-            content = Content("scene", f"a defect of isetval ({type(error).__name__}: {error}); please report it")
-        seen.append(Seen(group, content, thumbnail=None if capture is None else thumbnail(capture)))
-        if progress is not None:
-            progress(f"looking at {group.first.file}", i + 1, len(groups))
-    lit = [replace(one, content=lit_after_all(one, seen)) for one in seen]
-    return [_with_borrowed_pose(one, lit, found) for one in lit]
-
-
-def lit_after_all(one: Seen, seen: Sequence[Seen]) -> Content:
-    """A frame as dark as a dark in a bracket of lit ones: its exposure is short enough for that."""
-    group, content = one.group, one.content
-    if content.role != "dark" or group.words.role == "dark":
-        return content
-    for other in seen:
-        theirs, time_s = other.group.first, other.group.first.exposure.time_s
-        same = (theirs.place, theirs.window, other.group.session) == (group.first.place, group.first.window, group.session)
-        if not same or other.content.role == "dark" or not time_s or other.group.clipped:
-            continue
-        expected = other.group.level_dn / time_s * (group.first.exposure.time_s or 0.0)
-        if abs(group.level_dn - expected) < expected / 2 and expected > LEAST_SIGNAL_DN:
-            return Content("scene", f"dim, but as {theirs.file} would be at its exposure")
-    return content
-
-
-def _with_borrowed_pose(one: Seen, seen: Sequence[Seen], found: FolderFacts) -> Seen:
-    content = borrowed_pose(one, seen)
-    if content is one.content or content.chart is None:
-        return one
-    capture = found.captures.take("", one.group.first.file)
-    levels = content.chart.levels_dn if capture is None else patch_levels(capture, content.chart.boxes)
-    return replace(one, content=replace(content, chart=replace(content.chart, levels_dn=levels)))
-
-
-def borrowed_pose(one: Seen, seen: Sequence[Seen]) -> Content:
-    """A chart that only another light or exposure shows: its pose is that of a chart found in the same set-up and window.
-
-    Under another light the borders must lie at the same places (thumbnails correlate in the size of their
-    gradients); other exposures of one bracket have one pose.
-    """
-    fact, content = one.group.first, one.content
-    if content.role not in ("scene", "edge"):
-        return content
-    for other in seen:
-        theirs = other.group.first
-        same = (theirs.place, theirs.window, theirs.rotation_deg, other.group.session)
-        if other.content.chart is None or same != (fact.place, fact.window, fact.rotation_deg, one.group.session):
-            continue
-        alike = float(np.corrcoef(_borders(fact), _borders(theirs))[0, 1])
-        bracket = fact.wavelength_nm == theirs.wavelength_nm and fact.exposure.time_s != theirs.exposure.time_s
-        if alike > LEAST_LIKENESS or (bracket and content.role == "scene" and _dim(fact)):
-            why = f"the chart of {theirs.file}, found there (borders correlate by {alike:.2f})"
-            return replace(content, role="chart", why=why, chart=other.content.chart, edges=())
-    return content
-
-
-def _dim(fact: FileFacts) -> bool:
-    """Whether too little light fell for a picture to be recognized."""
-    return max(fact.levels_dn) < DARK_SHARE * fact.span_dn
-
-
-def _borders(fact: FileFacts) -> NDArray[np.float64]:
-    """Size of the gradients of a thumbnail, flat."""
-    down, across = np.gradient(fact.blocks_dn) if min(fact.blocks_dn.shape) > 1 else (fact.blocks_dn, fact.blocks_dn)
-    return np.asarray(np.hypot(down, across).ravel())
-
-
-def thumbnail(capture: Capture) -> NDArray[np.uint8]:
-    """A small picture (rows, cols, 3) of a capture: binned, each colour scaled to its brightest part, gamma 1/2.2."""
-    from isetval.measure.color.chart_finding import encode, preview
-
-    bin_px = 2 * max(1, round(max(capture.mosaic.shape) / (2 * THUMBNAIL_PX)))
-    linear = preview(capture, min(bin_px, min(capture.mosaic.shape) // 2 * 2 or 1))
-    return np.ascontiguousarray(encode(linear, BRIGHT_PERCENTILE)[..., ::-1])
 
 
 def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:

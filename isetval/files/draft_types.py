@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.scene import Box
 from isetval.core.sensor import Sensor, Window
-from isetval.files.registration import Content
+from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup
 
 
@@ -63,6 +63,17 @@ class DraftPrior:
     comment: str
     roles: tuple[str, ...] = ()
     lights: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """What a shot shows and why that is thought; ``refused`` are (region, reason) of what was looked at and not taken."""
+
+    role: str
+    why: str
+    chart: ChartPose | None = None
+    edges: tuple[EdgePose, ...] = ()
+    refused: tuple[tuple[Box, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Where the target of a picture lies: a chart's patches by homography, slanted edges by their fit, evenness of flats."""
+"""Where the target of a picture lies: a chart's patches by homography, slanted edges by their fit."""
 
 from __future__ import annotations
 
@@ -10,17 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture
-from isetval.core.errors import InputError, MeasurementError
+from isetval.core.errors import MeasurementError
 from isetval.core.scene import Box
-from isetval.files.file_facts import FileFacts
-from isetval.files.shot_grouping import ShotGroup
 from isetval.files.target_search import upright_box
 
 Float = NDArray[np.float64]
-DARK_SHARE = 0.004  # of the range: below what a lens cap leaks, above what dark current and a wrong black level make
-DARK_SHARE_NAMED = 0.05  # where the folder says dark: long exposures of warm sensors
-EVEN_RESIDUAL = 0.015  # of the mean: what fourth-order fall-off leaves of a real flat (dust, texture)
-EVEN_ORDER = 4
 RANSAC_PITCHES = 0.06  # a centre farther off its projection is not where its patch is
 SIDE_STEPS = np.arange(0.0, 0.5001, 0.005)
 LEAST_CONTRAST = 0.08  # of the brightest patch: fainter borders do not tell where a patch ends
@@ -62,70 +56,6 @@ class EdgePose:
     sigma_px: float
     dark_dn: float
     bright_dn: float
-
-
-@dataclass(frozen=True, eq=False)
-class Content:
-    """What a shot shows and why that is thought; ``refused`` are (region, reason) of what was looked at and not taken."""
-
-    role: str
-    why: str
-    chart: ChartPose | None = None
-    edges: tuple[EdgePose, ...] = ()
-    refused: tuple[tuple[Box, str], ...] = ()
-
-
-def recognized(group: ShotGroup, capture: Capture, *, role: str | None = None) -> Content:
-    """What the first frame of a shot shows; ``role`` overrules the guess, targets are still searched."""
-    fact, said = group.first, role or group.words.role
-    share = max(fact.levels_dn) / fact.span_dn
-    even = unevenness(fact)
-    if role in ("dark", "flat"):
-        return Content(role, "as told")
-    lit = fact.wavelength_nm is not None or said == "flat"
-    if role is None and not lit and share < (DARK_SHARE_NAMED if said == "dark" else DARK_SHARE):
-        return Content("dark", f"its mean lies {100 * share:.2f} % of the range above black")
-    if role is None and even <= 0:
-        return Content("flat", "its blocks differ by smooth fall-off and noise alone")
-    if role is None and min(fact.blocks_dn.shape) < 4 and said in ("dark", "flat"):
-        return Content(said, "the name says so; it is too small to tell")
-    return _structured(capture, said, role)
-
-
-def _structured(capture: Capture, said: str, role: str | None) -> Content:
-    """A picture with structure: a chart or edges, in the order in which names make them likely."""
-    tried: list[str] = []
-    refused: tuple[tuple[Box, str], ...] = ()
-    for look in ("edge", "chart") if said == "edge" else ("chart", "edge"):
-        if role not in (None, look):
-            continue
-        try:
-            if look == "chart":
-                return Content("chart", "a chart of 24 patches was found", chart=register_chart(capture))
-            edges, refused = register_edges(capture)
-            if edges:
-                return Content("edge", f"slanted edges: {len(edges)}", edges=edges, refused=refused)
-            tried.append(f"no slanted edge ({len(refused)} candidates refused)")
-        except InputError as error:
-            tried.append(str(error))
-    return Content("scene", "; ".join(tried), refused=refused)
-
-
-def unevenness(fact: FileFacts) -> float:
-    """How far the blocks of a file are from smooth: 0 and less for flats.
-
-    The rms distance of block means from a fourth-order surface, over what noise and dust explain, less 1.
-    """
-    blocks = fact.blocks_dn
-    order = EVEN_ORDER if min(blocks.shape) >= 3 * EVEN_ORDER else 2
-    if min(blocks.shape) < 4:
-        return 0.0
-    y, x = (np.linspace(-1, 1, n) for n in blocks.shape)
-    design = np.array([np.outer(y**i, x**j).ravel() for i in range(order + 1) for j in range(order + 1 - i)]).T
-    residual = blocks.ravel() - design @ np.linalg.lstsq(design, blocks.ravel(), rcond=None)[0]
-    free = max(residual.size - design.shape[1], 1)
-    rms = math.sqrt(float(residual @ residual) / free)
-    return rms / max(EVEN_RESIDUAL * abs(fact.level_dn), 3 * fact.block_sigma_dn, 1e-9) - 1
 
 
 def register_chart(capture: Capture) -> ChartPose:

@@ -264,15 +264,14 @@ def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_
     assert abs((col - 300) * np.cos(np.radians(5)) - (row - 400) * np.sin(np.radians(5))) < 0.3
 
 
-def test_boxes_of_a_tilted_chart_lie_inside_its_patches():
+def _tilted_chart():
+    """A chart under perspective: its projection of (column, row) in pitches to pixels, and its colours (450, 620, 3)."""
     from skimage.transform import ProjectiveTransform
 
-    from isetval.files.registration import register_chart
     from isetval.measure.color.chart_layout import linear_rgb
 
-    corners = np.array(
-        [[80.0, 90.0], [520.0, 60.0], [545.0, 375.0], [70.0, 350.0]]
-    )  # (column, row) of the outer patches' middles
+    # (column, row) of the middles of the outer patches
+    corners = np.array([[80.0, 90.0], [520.0, 60.0], [545.0, 375.0], [70.0, 350.0]])
     pose = ProjectiveTransform.from_estimate(np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 3.0], [0.0, 3.0]]), corners)
     step = 3
     y, x = np.mgrid[0 : 450 * step, 0 : 620 * step] / step - (step - 1) / (2 * step)
@@ -280,19 +279,68 @@ def test_boxes_of_a_tilted_chart_lie_inside_its_patches():
     nearest = np.rint(grid)
     on = (np.abs(grid - nearest).max(axis=1) < 0.42) & (nearest >= 0).all(axis=1) & (nearest <= [5, 3]).all(axis=1)
     number = np.where(on, 6 * nearest[:, 1] + nearest[:, 0], 0).astype(int)
-    color = np.where(on[:, None], linear_rgb()[number], 0.03).reshape(450, step, 620, step, 3).mean(axis=(1, 3))
-    plane = np.array([[0, 1], [1, 2]])[np.arange(450)[:, None] % 2, np.arange(620)[None] % 2]
-    electrons = 3000 * np.take_along_axis(color, plane[:, :, None], axis=2)[:, :, 0]
-    rng = np.random.default_rng(1)
-    codes = np.rint(64 + 0.25 * rng.poisson(electrons) + 0.5 * rng.standard_normal(electrons.shape)).astype(int)
-    found = register_chart(isetval.Capture.from_array(np.clip(codes, 0, 1023), bits=10))
-    assert found.side == pytest.approx(0.84, abs=0.02)
+    return pose, np.where(on[:, None], linear_rgb()[number], 0.03).reshape(450, step, 620, step, 3).mean(axis=(1, 3))
+
+
+def _codes(color, electrons, seed=1):
+    """Codes of a colour picture through an RGGB mosaic: .25 DN/e-, black 64."""
+    rows, cols = color.shape[:2]
+    plane = np.array([[0, 1], [1, 2]])[np.arange(rows)[:, None] % 2, np.arange(cols)[None] % 2]
+    mean = electrons * np.take_along_axis(color, plane[:, :, None], axis=2)[:, :, 0]
+    rng = np.random.default_rng(seed)
+    return np.clip(np.rint(64 + 0.25 * rng.poisson(mean) + 0.5 * rng.standard_normal(mean.shape)), 0, 1023).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    return _tilted_chart()
+
+
+def _upright(pose):
+    """The largest upright boxes inside the patches, half open."""
     square = 0.42 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    for k, (row0, row1, col0, col1) in enumerate(found.boxes):
+    out = []
+    for k in range(24):
         quad = pose(np.array([k % 6, k // 6]) + square)
         cols, rows = np.sort(quad[:, 0]), np.sort(quad[:, 1])
-        upright = np.array([rows[1], rows[2], cols[1], cols[2]]) + 0.5  # pixel centres to half-open borders
-        assert np.abs(np.array([row0, row1, col0, col1]) - upright).max() <= 2
+        out.append([rows[1] + 0.5, rows[2] + 0.5, cols[1] + 0.5, cols[2] + 0.5])  # from pixel centres to borders
+    return np.array(out)
+
+
+def test_boxes_of_a_tilted_chart_lie_inside_its_patches(tilted):
+    from isetval.files.registration import register_chart
+
+    pose, color = tilted
+    found = register_chart(isetval.Capture.from_array(_codes(color, 3000), bits=10))
+    assert found.side == pytest.approx(0.84, abs=0.02)
+    assert np.abs(np.array(found.boxes) - _upright(pose)).max() <= 2
+
+
+def test_names_carry_wavelength_and_time_and_a_chart_lends_its_pose(tmp_path, tilted):
+    """TIFFs with a sidecar: a chart under two narrow lights; one shows little, one exposure is too short to see anything."""
+    import tifffile
+
+    pose, color = tilted
+    blue = 0.02 + 0.98 * color[:, :, 2:] * np.array([0.02, 0.1, 1.0])
+    pictures = {
+        "chart_550nm_40ms_2026-03-02-101500.tif": _codes(color, 3000),
+        "chart_450nm_40ms_2026-03-02-101600.tif": _codes(blue, 3000),
+        "chart_450nm_1ms_2026-03-02-101700.tif": _codes(blue, 20),
+        "chart_550nm_40ms_2026-03-09-101500.tif": _codes(color, 3000, seed=2),
+    }
+    for name, codes in pictures.items():
+        tifffile.imwrite(tmp_path / name, codes)
+    rule = r"name_rule = '^(?P<scene>[a-z]+)_(?P<wavelength_nm>\d+)nm_(?P<exposure_ms>\d+)ms'"
+    (tmp_path / "images.toml").write_text(f'cfa = "RGGB"\nblack_dn = 64\nbits = 10\npixel_um = 3.45\n{rule}\n')
+    assert main(["campaign", "init", str(tmp_path), "-q"]) == 0
+    campaign = isetval.load_campaign(tmp_path)
+    assert [s.role for s in campaign.shots] == ["chart"] * 4
+    found = {(s.light, s.exposure.time_s, s.measurement_session) for s in campaign.shots}
+    assert found == {("550nm", 0.04, "A"), ("450nm", 0.04, "A"), ("450nm", 0.001, "A"), ("550nm", 0.04, "B")}
+    for shot in campaign.shots:
+        assert np.abs(np.array([p.box for p in shot.target.patches]) - _upright(pose)).max() <= 2
+    assert {s.light_level for s in campaign.shots if s.light == "450nm"} == {1.0}  # exposures of one set-up share their light
+    assert isetval.measure_campaign(campaign).metrics
 
 
 def _with_spectra(folder):

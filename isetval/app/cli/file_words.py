@@ -66,7 +66,8 @@ def metric_lines(metrics: Sequence[Metric], *, files: Sequence[str], brief: bool
     lines: list[str] = []
     if patches and not brief:
         lines += _patch_table(patches)
-    rest = [(m, f) for m, f in zip(metrics, files, strict=True) if not (m.name == "patch_mean" and m.patch) or brief]
+    told = ("patch_mean", "patch_noise")  # the table has the means; the noise of every patch stands in the JSON
+    rest = [(m, f) for m, f in zip(metrics, files, strict=True) if not (m.name in told and m.patch) or brief]
     if len(rest) > MAX_ROWS:
         return [*lines, *_family_table([m for m, _ in rest])]
     if rest:
