@@ -99,6 +99,21 @@ def test_curves_in_the_json_without_a_page(edge, tmp_path):
     assert "curves" not in json.loads((tmp_path / "plain.json").read_text())
 
 
+def test_one_dark_shows_its_codes_and_lines(tmp_path):
+    rng = np.random.default_rng(3)
+    codes = np.rint(64 + 2 * rng.standard_normal((96, 96))).astype(int)
+    codes[40] += 8
+    capture = isetval.Capture.from_array(codes, time_s=0.01)
+    count = isetval.plots.plot_dark_codes(capture).lines
+    assert sum(line.get_ydata().sum() for line in count) == codes.size
+    rows, columns = isetval.plots.plot_dark_lines(capture).lines
+    assert int(np.argmax(rows.get_ydata())) == 40
+    assert np.ptp(columns.get_ydata()) < 8 * 2 / np.sqrt(96)
+    isetval.write_dng(tmp_path / "d.dng", capture)
+    assert main(["measure", str(tmp_path / "d.dng"), "--role", "dark", "-o", str(tmp_path / "d.html"), "-q"]) == 0
+    assert "dark frames</h2>" in (tmp_path / "d.html").read_text()
+
+
 def _mtf50(value, x_mm, shot, channel="G"):
     row = {"name": "mtf50", "family": "summary_mtf50", "value": value, "sigma": 0.01, "unit": "cy/px"}
     return row | {"channel": channel, "field_x_mm": x_mm, "field_y_mm": 0.0, "shot": shot}

@@ -8,6 +8,8 @@ from isetval.core.lazy import lazy_names
 
 _NAMES = {
     "plot_chart": "isetval.app.plots.color",
+    "plot_dark_codes": "isetval.app.plots.dark_series",
+    "plot_dark_lines": "isetval.app.plots.dark_series",
     "plot_dark_mean": "isetval.app.plots.dark_series",
     "plot_dark_noise": "isetval.app.plots.dark_series",
     "plot_edge_profile": "isetval.app.plots.edges",

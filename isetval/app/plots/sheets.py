@@ -191,14 +191,18 @@ def _flag_words(flags: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def dark_sheet(darks: Sequence[Capture], name: str) -> Sheet:
-    """Mean and noise of dark frames over exposure time."""
+    """Mean and noise of dark frames over exposure time; of one time, codes and lines of the first frame."""
     from matplotlib.figure import Figure
 
     result = dark(darks)
     figure = Figure(figsize=(10, 4), layout="constrained")
-    mean, deviation = figure.subplots(1, 2)
-    dark_series.plot_dark_mean(result, mean)
-    dark_series.plot_dark_noise(result, deviation)
+    left, right = figure.subplots(1, 2)
+    if len(next(iter(result.values())).levels) > 1:
+        dark_series.plot_dark_mean(result, left)
+        dark_series.plot_dark_noise(result, right)
+    else:
+        dark_series.plot_dark_codes(darks[0], left)
+        dark_series.plot_dark_lines(darks[0], right)
     quantities = [key for key, value in vars(next(iter(result.values()))).items() if isinstance(value, Quantity)]
     table: list[tuple[str, ...]] = [("quantity", *result)]
     for key in quantities:

@@ -43,7 +43,7 @@ def measurement_html(
             }
             for sheet in sheets
         ],
-        notes=result.get("notes", ()),
+        notes=[*_warnings(result), *result.get("notes", ())],
         skipped=result.get("skipped", ()),
         command=" ".join(made.get("command", ())),
         versions=made.get("versions", {}),
@@ -51,6 +51,12 @@ def measurement_html(
         more=max(0, len(made.get("inputs", {})) - 40),
         json=json.dumps(result, allow_nan=False).replace("<", "\\u003c"),
     )
+
+
+def _warnings(result: Mapping[str, Any]) -> list[str]:
+    """What the readers warn of, once where several files share it."""
+    said = [w["message"] for about in result.get("files", {}).values() for w in about.get("warnings", ())]
+    return list(dict.fromkeys(said))
 
 
 def measurement_picture(sheets: Sequence[Sheet], kind: str) -> bytes:
