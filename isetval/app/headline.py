@@ -60,13 +60,23 @@ def _of(session: str) -> str:
 
 
 def _falloff(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
-    """Relative illumination farthest out, of every set-up or full frame."""
+    """Relative illumination farthest out: of every set-up of windows, and of the full frame that tells it best in its session."""
     own = [row for row in rows if row["name"] == "relative_illumination"]
     places: dict[str, list[Row]] = {}
     for row in own:
         place = str(row.get("region", "")).rpartition(", r ")[0] or str(row.get("shot", ""))
         places.setdefault(place, []).append(row)
+    whole: dict[str, list[str]] = {}
     for place, here in places.items():
+        if ", r " not in str(here[0].get("region", "")):
+            whole.setdefault(str(here[0].get("measurement_session", "")), []).append(place)
+    best = {
+        min(shots, key=lambda shot: sum(float(r["sigma"]) for r in places[shot]) / len(places[shot])) for shots in whole.values()
+    }
+    others = {shot for shots in whole.values() for shot in shots} - best
+    for place, here in places.items():
+        if place in others:
+            continue
         far = max(here, key=lambda row: _radius_mm(row))["region"]
         cells = {row.get("channel", ""): row for row in here if row["region"] == far}
         yield f"relative illumination, {place}", [("", *cells), (_at(far), *(_quantity(row, sign) for row in cells.values()))]

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.files.captures import defect_words
+from isetval.measure.summaries import Chain
 
 if TYPE_CHECKING:
     from isetval.app.plots.sheets import Sheet
@@ -79,28 +80,37 @@ def _frames(campaign: Campaign, session: str, role: str) -> Iterator[tuple[Shot,
                 yield shot, frames
 
 
-def _most_used_window(campaign: Campaign, session: str, role: str) -> list[Capture]:
-    """Frames of the window that most shots of a role have."""
+def _captures(shots: Sequence[tuple[Shot, Sequence[Capture]]]) -> Sequence[Capture]:
+    """All frames as one series; long ones are decoded as they are looked at."""
+    return Chain([frames for _, frames in shots])
+
+
+def _most_used_window(campaign: Campaign, session: str, role: str) -> list[tuple[Shot, Sequence[Capture]]]:
+    """Shots of the window that most of a role have, with their frames."""
     found = list(_frames(campaign, session, role))
     if not found:
         return []
     window = Counter(shot.window for shot, _ in found).most_common(1)[0][0]
-    return [capture for shot, frames in found if shot.window == window for capture in frames]
+    return [(shot, frames) for shot, frames in found if shot.window == window]
 
 
 def _transfer(campaign: Campaign, session: str, label: str) -> list[Sheet]:
     from isetval.app.plots.sheets import transfer_sheet
 
-    flats = _most_used_window(campaign, session, "flat")
+    shots = _most_used_window(campaign, session, "flat")
+    flats = _captures(shots)
     if len(flats) < LEAST_LEVELS:
         return []
-    return [transfer_sheet(flats, _most_used_window(campaign, session, "dark"), label)]
+    photons = [shot.photons_per_pixel for shot, frames in shots for _ in range(len(frames))]
+    method = next((shot.method for shot, _ in shots if shot.method), "default")
+    darks = _captures(_most_used_window(campaign, session, "dark"))
+    return [transfer_sheet(flats, darks, label, method=method, photons=None if None in photons else photons)]
 
 
 def _dark(campaign: Campaign, session: str, label: str) -> list[Sheet]:
     from isetval.app.plots.sheets import dark_sheet
 
-    darks = _most_used_window(campaign, session, "dark")
+    darks = _captures(_most_used_window(campaign, session, "dark"))
     return [dark_sheet(darks, label)] if darks else []
 
 
@@ -111,12 +121,15 @@ def _illumination(campaign: Campaign, session: str, label: str) -> list[Sheet]:
     sheets: list[Sheet] = []
     for setup in dict.fromkeys(shot.setup for shot, _ in found):
         own = [(shot, frames) for shot, frames in found if shot.setup == setup]
-        whole = [c for _, frames in own for c in frames if c.mosaic.shape == (c.sensor.rows, c.sensor.cols)]
+        whole = [(shot, frames) for shot, frames in own if _is_whole(frames[0])]
         places = {shot.window for shot, _ in own}
         if whole or len(places) >= LEAST_PLACES:
-            chosen: list[Any] = whole or [c for _, frames in own for c in frames]
-            sheets.append(illumination_sheet(chosen, (), f"{label}, {setup}"))
+            sheets.append(illumination_sheet(_captures(whole or own), (), f"{label}, {setup}"))
     return sheets
+
+
+def _is_whole(capture: Capture) -> bool:
+    return capture.mosaic.shape == (capture.sensor.rows, capture.sensor.cols)
 
 
 def _shot_sheets(campaign: Campaign, shot: Shot) -> list[Sheet]:

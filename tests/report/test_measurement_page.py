@@ -133,6 +133,17 @@ def test_sharpness_is_told_by_place_and_by_extremes():
     }
 
 
+def test_of_many_full_frames_the_one_that_tells_the_fall_off_best_is_quoted():
+    def row(shot, sigma, region="r 3.0 mm"):
+        row = {"name": "relative_illumination", "value": 0.5, "sigma": sigma, "unit": "1", "channel": "G", "shot": shot}
+        return row | {"measurement_session": "A", "region": region}
+
+    rows = [row("f1", 0.02), row("f2", 0.01), row("f3", 0.03), row("f2", 0.01, "r 1.0 mm")]
+    ((title, table),) = headline_tables(rows)
+    assert title == "relative illumination, f2"
+    assert table == [("", "G"), ("at 3.0 mm", "0.500 +- 0.010")]
+
+
 def test_edges_of_a_file_lie_where_their_regions_are():
     regions = {"0,20,0,20": 0.3, "40,60,40,60": 0.2, "10,30,40,60": 0.25}
     rows = [_mtf50(value, 0.0, "s") | {"region": region, "file": "a.dng"} for region, value in regions.items()]

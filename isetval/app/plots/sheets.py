@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from isetval.measure.edge.sfr_result import SfrResult
 
 Rows = Sequence[tuple[str, ...]]
+Photons = Sequence[float | None] | None
 ISO = "iso12233:2023"
 PLACES = (("center", 0.0), ("part way", 0.7), ("corner", 1.0))
 """Where edges are shown in full: shares of half the diagonal, as ISO 12233 and lens tests divide the field."""
@@ -150,12 +151,15 @@ def _draw_boxes(capture: Capture, boxes: Sequence[Box], axis: Axes) -> None:
     axis.set(xlim=(low[2] - margin, high[3] + margin), ylim=(high[1] + margin, low[0] - margin))
 
 
-def transfer_sheet(flats: Sequence[Capture], darks: Sequence[Capture], name: str) -> Sheet:
-    """Photon transfer of a series with the table that people ask for."""
-    result = photon_transfer(flats, dark=darks or None)
+def transfer_sheet(
+    flats: Sequence[Capture], darks: Sequence[Capture], name: str, *, method: str = "default", photons: Photons = None
+) -> Sheet:
+    """Photon transfer of a series with the table that people ask for; ``photons`` per pixel of each flat, where stated."""
+    result = photon_transfer(flats, dark=darks or None, method=method, photons_per_pixel=photons)
     timed = all(transfer.linearity_from != "none" for transfer in result.values())
     quoted = [symbol for symbol in QUOTED if timed or not symbol.startswith("LE_")]  # of one light at several times only
-    rows = [row for row in emva1288(flats, dark=darks or None).rows if row.symbol in quoted and np.isfinite(row.value)]
+    table_rows = emva1288(flats, dark=darks or None, photons_per_pixel=photons).rows if method == "default" else ()
+    rows = [row for row in table_rows if row.symbol in quoted and np.isfinite(row.value)]
     planes = list(result)
     table: list[tuple[str, ...]] = [("quantity", *planes)]
     for symbol in dict.fromkeys(row.symbol for row in rows):
