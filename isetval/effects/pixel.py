@@ -140,7 +140,7 @@ class PixelAngularResponse(Effect):
     m_red: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of red at 30 degrees")
     m_green: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of green at 30 degrees")
     m_blue: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of blue at 30 degrees")
-    shift_deg: float = parameter(0.0, unit="deg", low=-60.0, high=60.0, shape=True, doc="added to the angle at the corner, by r")
+    shift_deg: float = parameter(0.0, unit="deg", low=-60.0, high=60.0, tau=15.0, doc="added to the angle at the corner, by r")
     form: str = "gaussian"
 
     def __post_init__(self) -> None:

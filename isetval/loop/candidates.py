@@ -154,40 +154,44 @@ def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], ste
 def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Signature]:
     """Signatures made parallel to the focus errors that they imitate; see `isetval.loop.fit.made_parallel`.
 
-    Far from zero a secant of one parameter that looks like a focus error is first taken again from both sides,
-    in steps that change as much as those of the focus do.
+    Far from zero a parameter's secant that looks like a focus error is first taken again from both sides, in steps that
+    change as much as those of the focus do.
     """
     focus = [problem.columns[f.label].slope for f in fitted.free if f.focus]
     out = list(made)
     for key in far_values(fitted):
         step = next(f.step for f in fitted.free if f.label == key)
         column = problem.whitened(problem.columns[key].slope * step)
-        out = [_like_focus(problem, fitted.point, s, column) if len(s.steps) == 1 else s for s in out]
+        for i in range(max(len(s.steps) for s in out)):
+            out = [_like_focus(problem, fitted.point, s, i, column) if i < len(s.steps) else s for s in out]
     columns = [np.column_stack([made_parallel(problem, column, focus) for column in s.columns.T]) for s in out]
     return [replace(s, columns=c) for s, c in zip(out, columns, strict=True)]
 
 
-def _like_focus(problem: Problem, point: Point, signature: Signature, column: Float) -> Signature:
+def _like_focus(problem: Problem, point: Point, signature: Signature, i: int, column: Float) -> Signature:
+    """The signature with parameter ``i`` differentiated in steps of the focus error it looks like, if it does."""
     rows, length = column != 0, float(np.linalg.norm(column))
     for _ in range(ALIGNMENTS):
-        part = problem.whitened(signature.columns[:, 0] * signature.steps[0])[rows]
+        part = problem.whitened(signature.columns[:, i] * signature.steps[i])[rows]
         size = float(np.linalg.norm(part))
         if size == 0 or abs(float(part @ column[rows])) < LIKE_FOCUS * size * length:
             break
-        signature = _both_sides(problem, point, signature, signature.steps[0] * length / size)
+        signature = _both_sides(problem, point, signature, i, signature.steps[i] * length / size)
     return signature
 
 
-def _both_sides(problem: Problem, point: Point, signature: Signature, step: float) -> Signature:
-    """The derivative from both sides, or the signature as it is where the parameter has only one."""
+def _both_sides(problem: Problem, point: Point, signature: Signature, i: int, step: float) -> Signature:
+    """The derivative of parameter ``i`` from both sides, or the signature as it is where it has only one."""
     candidate = signature.candidate
-    value, low, high = candidate.nominal[0], candidate.parameters[0].low, candidate.parameters[0].high
+    value, low, high = candidate.nominal[i], candidate.parameters[i].low, candidate.parameters[i].high
     if not (low <= value - abs(step) and value + abs(step) <= high):
         return signature
     model = candidate.model_with(point.model)
-    points = [Point(model.with_values({candidate.keys[0]: value + h}), point.values) for h in (step, -step)]
+    points = [Point(model.with_values({candidate.keys[i]: value + h}), point.values) for h in (step, -step)]
     up, down = problem.predictor.derivative_vectors(points, problem.seeds)
-    return Signature(candidate, np.nan_to_num((up - down) / (2 * step))[:, None], np.array([step]))
+    columns, steps = signature.columns.copy(), signature.steps.copy()
+    columns[:, i], steps[i] = np.nan_to_num((up - down) / (2 * step)), step
+    return Signature(candidate, columns, steps)
 
 
 def _profiled(problem: Problem, columns: Float, project: Float) -> Float:
