@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
-from isetval.core.sensor import Exposure, Position, Sensor, black_at, plane_names, plane_position
+from isetval.core.sensor import Exposure, Position, Roi, RoiLike, Sensor, black_at, plane_names, plane_position
 
-Roi = tuple[int, int, int, int]
 Float = NDArray[np.float64]
 
 
@@ -121,18 +120,17 @@ def _as_uint16(array: NDArray[Any]) -> NDArray[np.uint16]:
     return out
 
 
-def check_roi(capture: Capture, roi: Roi | None) -> Roi:
+def check_roi(capture: Capture, roi: RoiLike | None) -> Roi:
     """``roi`` as (row0, row1, col0, col1), half open, inside the capture; None is the whole frame."""
     rows, cols = capture.mosaic.shape
     if roi is None:
-        return (0, rows, 0, cols)
-    row0, row1, col0, col1 = (int(v) for v in roi)
-    if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= cols):
+        return Roi(0, rows, 0, cols)
+    found = Roi.of(roi)
+    if not (0 <= found.row0 < found.row1 <= rows and 0 <= found.col0 < found.col1 <= cols):
         raise InputError(
-            f"roi {(row0, row1, col0, col1)} (row0, row1, col0, col1, half open) does not fit in the "
-            f"capture of {rows} x {cols} pixels"
+            f"roi {tuple(found)} (row0, row1, col0, col1, half open) does not fit in the capture of {rows} x {cols} pixels"
         )
-    return (row0, row1, col0, col1)
+    return found
 
 
 def planes_of(capture: Capture) -> tuple[str, ...]:
@@ -148,7 +146,7 @@ def plane_black_dn(capture: Capture, plane: str) -> float:
     return capture.sensor.black_dn[row][col]
 
 
-def plane_view(capture: Capture, plane: str, roi: Roi | None = None) -> tuple[NDArray[np.uint16], Position, int]:
+def plane_view(capture: Capture, plane: str, roi: RoiLike | None = None) -> tuple[NDArray[np.uint16], Position, int]:
     """A colour plane without a copy.
 
     Returns
@@ -168,7 +166,7 @@ def plane_view(capture: Capture, plane: str, roi: Roi | None = None) -> tuple[ND
     return capture.mosaic[row0 + row : row1 : 2, col0 + col : col1 : 2], (row0 + row, col0 + col), 2
 
 
-def black_image_dn(capture: Capture, roi: Roi | None = None) -> Float:
+def black_image_dn(capture: Capture, roi: RoiLike | None = None) -> Float:
     """Black level of every mosaic pixel of ``roi``, float64 (rows, cols)."""
     row0, row1, col0, col1 = check_roi(capture, roi)
     corner = (capture.window[0] + row0, capture.window[1] + col0)

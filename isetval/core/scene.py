@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
+from isetval.core.sensor import Roi, RoiLike
 
 Float = NDArray[np.float64]
 
@@ -101,7 +102,6 @@ def read_spectra(path: Path | str) -> Mapping[str, Spectrum]:
         raise InputError(f"{path}: {error}") from None
 
 
-Box = tuple[int, int, int, int]
 ORIENTATIONS = ("vertical", "horizontal")
 
 
@@ -125,11 +125,13 @@ class EdgeTarget:
     dark_reflectance: Spectrum = field(default_factory=lambda: Spectrum.flat(0.05))
     bright_reflectance: Spectrum = field(default_factory=lambda: Spectrum.flat(0.8))
     surround: Spectrum | None = None
-    roi: Box | None = None
+    roi: RoiLike | None = None
 
     def __post_init__(self) -> None:
         if self.orientation not in ORIENTATIONS:
             raise InputError(f"target {self.name}: orientation is {self.orientation!r}; it needs vertical or horizontal")
+        if self.roi is not None:
+            object.__setattr__(self, "roi", Roi.of(self.roi))
         if self.dark_side not in ("low", "high"):
             raise InputError(f"target {self.name}: dark_side is {self.dark_side!r}; it needs low or high")
 
@@ -139,8 +141,11 @@ class Patch:
     """A uniform patch: ``box`` is (row0, row1, col0, col1) in the window, half open."""
 
     name: str
-    box: Box
+    box: RoiLike
     reflectance: Spectrum
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "box", Roi.of(self.box))
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,6 +130,10 @@ class Roi(NamedTuple):
         return Roi(self.row0 + margin, self.row1 - margin, self.col0 + margin, self.col1 - margin)
 
 
+RoiLike = tuple[int, int, int, int]
+"""A `Roi`, or four numbers in its order: row0, row1, col0, col1, half open."""
+
+
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 CFA_PATTERNS = (*BAYER_PATTERNS, "MONO")
 BAYER_PLANES = ("R", "Gr", "Gb", "B")

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isetval.camera.model import CameraModel
-from isetval.core.scene import Box, Spectrum
-from isetval.core.sensor import Sensor, Window, pattern_at
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import RoiLike, Sensor, Window, pattern_at
 from isetval.files.draft_types import DraftLight, DraftShot, DraftTarget, Seen
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_words import PUBLISHED
@@ -161,7 +161,7 @@ def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[fl
         work.add(index, DraftShot(name, "edge", group, part, setup, work.seen[index].content.why, light, level, name))
 
 
-def _cut(window: Window, roi: Box, sensor: Sensor) -> tuple[Window, tuple[int, int]]:
+def _cut(window: Window, roi: RoiLike, sensor: Sensor) -> tuple[Window, tuple[int, int]]:
     """The part of a large frame around a region, and the part's first pixel in the frame."""
     if not _is_large(window, sensor):
         return window, (0, 0)

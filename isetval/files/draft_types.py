@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.scene import Box
-from isetval.core.sensor import Sensor, Window
+from isetval.core.sensor import RoiLike, Sensor, Window
 from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup
 
@@ -21,7 +20,7 @@ class DraftTarget:
 
     name: str
     table: Mapping[str, object]
-    patches: tuple[tuple[str, Box, object], ...] = ()
+    patches: tuple[tuple[str, RoiLike, object], ...] = ()
     comment: str = ""
 
 
@@ -73,7 +72,7 @@ class Content:
     why: str
     chart: ChartPose | None = None
     edges: tuple[EdgePose, ...] = ()
-    refused: tuple[tuple[Box, str], ...] = ()
+    refused: tuple[tuple[RoiLike, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from isetval.core.campaign import Campaign, Shot
-from isetval.core.capture import Capture, Roi, check_roi
+from isetval.core.capture import Capture, check_roi
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.metric import Metric, MetricTable
-from isetval.core.sensor import Window
+from isetval.core.sensor import RoiLike, Window
 from isetval.files.captures import FileCaptures
 from isetval.files.file_facts import FileFacts, by_level, facts_of
 from isetval.files.target_search import find_targets
@@ -33,7 +33,7 @@ class Asked:
     role: str | None = None
     method: str = ""
     channel: str = ""
-    roi: Roi | None = None
+    roi: RoiLike | None = None
     gain_dn_per_e: float | None = None
 
     @property

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
-from isetval.core.scene import Box
+from isetval.core.sensor import RoiLike
 from isetval.files.target_search import upright_box
 
 Float = NDArray[np.float64]
@@ -33,7 +33,7 @@ class ChartPose:
     """
 
     names: tuple[str, ...]
-    boxes: tuple[Box, ...]
+    boxes: tuple[RoiLike, ...]
     levels_dn: Float
     matrix: Float
     side: float
@@ -48,7 +48,7 @@ class ChartPose:
 class EdgePose:
     """A slanted edge in pixels of its capture; ``offset_px`` is its point nearest the capture's middle along its own axis."""
 
-    roi: Box
+    roi: RoiLike
     angle_deg: float
     orientation: str
     dark_side: str
@@ -109,7 +109,7 @@ def register_chart(capture: Capture) -> ChartPose:
     )
 
 
-def patch_levels(capture: Capture, boxes: Sequence[Box]) -> Float:
+def patch_levels(capture: Capture, boxes: Sequence[RoiLike]) -> Float:
     """Mean R, G, B above black of the inner part of each box, (boxes, 3)."""
     from isetval.measure.color.chart_finding import preview
 
@@ -156,7 +156,7 @@ def _patch_side(picture: Float, model: object, grid: Float, bin_px: int) -> floa
     return 2 * float(np.median(crossings)) if len(crossings) >= 8 else 0.8
 
 
-def register_edges(capture: Capture) -> tuple[tuple[EdgePose, ...], tuple[tuple[Box, str], ...]]:
+def register_edges(capture: Capture) -> tuple[tuple[EdgePose, ...], tuple[tuple[RoiLike, str], ...]]:
     """Every slanted edge with a fit of its own, the sharpest first in doubt; and the regions refused with their reasons."""
     from isetval.measure import find_edges, sfr_batch
 
@@ -185,6 +185,6 @@ def register_edges(capture: Capture) -> tuple[tuple[EdgePose, ...], tuple[tuple[
     return tuple(poses), tuple(refused)
 
 
-def _as_box(roi: tuple[int, ...]) -> Box:
+def _as_box(roi: tuple[int, ...]) -> RoiLike:
     row0, row1, col0, col1 = (int(v) for v in roi)
     return (row0, row1, col0, col1)

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from isetval.core.errors import InputError
-from isetval.core.scene import Box, ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target, read_spectra
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target, read_spectra
+from isetval.core.sensor import RoiLike
 from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, text
 
 _EDGE_KEYS = (
@@ -89,7 +90,7 @@ def _patches(entry: Mapping[str, Any], where: str, path: Path, table: Mapping[st
     return tuple(patches)
 
 
-def _box(entry: Mapping[str, Any], key: str, where: str) -> Box:
+def _box(entry: Mapping[str, Any], key: str, where: str) -> RoiLike:
     row0, row1, col0, col1 = (int(v) for v in numbers(entry, key, where, lengths=(4,)))
     if not (row0 < row1 and col0 < col1):
         raise InputError(

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi
+from isetval.core.capture import Capture
 from isetval.core.errors import InputError, MeasurementError
-from isetval.core.scene import Box, ChartTarget, EdgeTarget, Patch, Spectrum
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
+from isetval.core.sensor import RoiLike
 
 Float = NDArray[np.float64]
 LEAST_BOX_PX = 4
@@ -28,7 +29,7 @@ class Found:
     notes: tuple[str, ...]
 
 
-def find_targets(capture: Capture, role: str | None, *, roi: Roi | None = None, channel: str = "") -> Found:
+def find_targets(capture: Capture, role: str | None, *, roi: RoiLike | None = None, channel: str = "") -> Found:
     """Targets of a role in a capture; without a role a chart, else slanted edges.
 
     Parameters
@@ -74,7 +75,7 @@ def chart_in(capture: Capture, channel: str = "") -> Found:
     return Found((ChartTarget("chart", patches, margin_px=0),), (words, *result.warnings))
 
 
-def upright_box(quad: Float) -> Box:
+def upright_box(quad: Float) -> RoiLike:
     """The upright box inside a quadrilateral (4, 2) of (row, col).
 
     Raises

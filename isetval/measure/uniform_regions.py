@@ -7,8 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_view, planes_of
+from isetval.core.capture import Capture, plane_view, planes_of
 from isetval.core.errors import InputError
+from isetval.core.sensor import RoiLike
 
 Float = NDArray[np.float64]
 SIDE_PX = 16  # 64 pixels of each colour: the ratio below is then known to 9 %
@@ -16,7 +17,7 @@ MOST = 96  # regions handed out, spread over the levels
 DOUBT_SIGMAS = 3.0
 
 
-def uniform_regions(capture: Capture, *, side_px: int = SIDE_PX, most: int = MOST) -> list[Roi]:
+def uniform_regions(capture: Capture, *, side_px: int = SIDE_PX, most: int = MOST) -> list[RoiLike]:
     """Even tiles of a capture, (row0, row1, col0, col1), spread over the levels that it holds.
 
     Parameters

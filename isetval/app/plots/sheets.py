@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from isetval.core.scene import Box
+    from isetval.core.sensor import RoiLike
     from isetval.measure.edge.sfr_result import SfrResult
 
 Rows = Sequence[tuple[str, ...]]
@@ -138,7 +138,7 @@ def chart_sheet(capture: Capture, name: str) -> Sheet:
     return Sheet(f"{name}: chart", table, remarks, figure, curves)
 
 
-def _draw_boxes(capture: Capture, boxes: Sequence[Box], axis: Axes) -> None:
+def _draw_boxes(capture: Capture, boxes: Sequence[RoiLike], axis: Axes) -> None:
     """The part of the frame that holds the boxes, and the boxes that are measured, numbered."""
     from matplotlib.patches import Rectangle
 

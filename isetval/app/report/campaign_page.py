@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from isetval.core.scene import Box
+from isetval.core.sensor import RoiLike
 from isetval.core.writing import write_whole
 from isetval.files.draft_types import Draft, DraftShot, Seen
 from isetval.files.registration import EdgePose
@@ -99,13 +99,13 @@ def _card(one: Seen, shots: dict[str, DraftShot]) -> dict[str, Any]:
     }
 
 
-def _boxes(one: Seen) -> list[tuple[str, Box]]:
+def _boxes(one: Seen) -> list[tuple[str, RoiLike]]:
     chart = one.content.chart
     boxes = [] if chart is None else list(zip(chart.names, chart.boxes, strict=True))
     return boxes + [(f"{edge.orientation}, {edge.angle_deg:.2f} deg", edge.roi) for edge in one.content.edges]
 
 
-def _rectangle(box: Box, words: str) -> dict[str, Any]:
+def _rectangle(box: RoiLike, words: str) -> dict[str, Any]:
     row0, row1, col0, col1 = box
     return {"x": col0, "y": row0, "width": col1 - col0, "height": row1 - row0, "words": words}
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi
+from isetval.core.capture import Capture, check_roi
 from isetval.core.errors import InputError
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.color.chart_finding import FoundChart, find_chart
 from isetval.measure.color.chart_layout import (
@@ -168,7 +169,7 @@ def chart(
     capture: Capture,
     *,
     corners: ArrayLike | None = None,
-    boxes: Sequence[Roi] | ArrayLike | None = None,
+    boxes: Sequence[RoiLike] | ArrayLike | None = None,
     fraction: float = 0.5,
     names: Sequence[str] | None = None,
     choices: Mapping[str, Any] | None = None,

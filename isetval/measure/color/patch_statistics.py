@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.sensor import RoiLike
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -60,7 +61,7 @@ class PatchRows:
         return means, np.stack([self.sigma_dn[:, r], green, self.sigma_dn[:, b]], axis=1)
 
 
-def chart_patches_at(capture: Capture, boxes: Sequence[Roi] | ArrayLike) -> PatchRows:
+def chart_patches_at(capture: Capture, boxes: Sequence[RoiLike] | ArrayLike) -> PatchRows:
     """Patch statistics inside given boxes; the fast path for thousands of calls.
 
     Parameters

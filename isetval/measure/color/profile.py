@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi
+from isetval.core.capture import Capture, check_roi
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.sensor import RoiLike
 from isetval.measure.color.repeated_frames import StripPixels, pattern_variance, strip_over_frames
 
 Float = NDArray[np.float64]
@@ -91,7 +92,7 @@ def line_profile(
     *,
     width_px: float = 8.0,
     step_px: float = 2.0,
-    box: Roi | None = None,
+    box: RoiLike | None = None,
     axis: str = "cols",
     segments: Sequence[tuple[str, float, float]] = (),
     black_sigma_dn: float = 0.0,
@@ -164,7 +165,7 @@ def line_profile(
 
 
 def _ends(
-    capture: Capture, start: Pair | None, end: Pair | None, *, width_px: float, box: Roi | None, axis: str
+    capture: Capture, start: Pair | None, end: Pair | None, *, width_px: float, box: RoiLike | None, axis: str
 ) -> tuple[Float, Float, float]:
     """Both ends and the width of the strip."""
     if box is not None:

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares, nnls
 from scipy.special import chdtri
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.sensor import RoiLike
 from isetval.measure.color.patch_statistics import (
     DIFFERENCE_VARIANCE_FACTOR,
     LEAST_VARIANCE,
@@ -73,7 +74,7 @@ class _FrameSums:
         return np.asarray((self.second - self.first * self.mean) / max(self.frames - 1, 1))
 
 
-def patches_over_frames(captures: Iterable[Capture], boxes: Sequence[Roi] | ArrayLike) -> FramePatches:
+def patches_over_frames(captures: Iterable[Capture], boxes: Sequence[RoiLike] | ArrayLike) -> FramePatches:
     """Means of boxes over frames of one set-up, with temporal and fixed sigma.
 
     Parameters

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, black_image_dn, plane_view
+from isetval.core.capture import Capture, black_image_dn, plane_view
 from isetval.core.errors import InputError
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.edge.contours import Segment, find_segments
 from isetval.measure.edge.measure_regions import sfr
@@ -61,7 +62,7 @@ class EdgeRoi(tuple[int, int, int, int]):
 class RejectedEdge:
     """A candidate that was dropped, and why."""
 
-    roi: Roi
+    roi: RoiLike
     reason: str
     message: str
     row_px: float
@@ -162,7 +163,7 @@ def _try_piece(
     full = piece.scaled(scale)
     box = _bounding(capture, full)
 
-    def drop(reason: str, message: str, roi: Roi = box) -> RejectedEdge:
+    def drop(reason: str, message: str, roi: RoiLike = box) -> RejectedEdge:
         return RejectedEdge(roi, reason, message, full.row_px, full.col_px, full.length_px)
 
     if full.length_px < MIN_LENGTH_PX:
@@ -245,7 +246,7 @@ def _filled(part: Float) -> Float:
     return np.asarray(np.where(gone[None, :], 0.0, part))
 
 
-def place_roi(capture: Capture, segment: Segment, *, clear_px: float, least: int) -> Roi | None:
+def place_roi(capture: Capture, segment: Segment, *, clear_px: float, least: int) -> RoiLike | None:
     """Largest upright rectangle inside the clear band, centred on the edge; None if a side is below ``least`` px."""
     theta = np.radians(abs((segment.normal_deg + 45) % 90 - 45))
     half_length = 0.5 * segment.length_px - segment.margin_px
@@ -267,7 +268,7 @@ def place_roi(capture: Capture, segment: Segment, *, clear_px: float, least: int
     return None if min(row1 - row0, col1 - col0) < least else (row0, row1, col0, col1)
 
 
-def _bounding(capture: Capture, segment: Segment) -> Roi:
+def _bounding(capture: Capture, segment: Segment) -> RoiLike:
     radians = np.radians(segment.normal_deg)
     rows, cols = capture.mosaic.shape
     high = abs(np.cos(radians)) * segment.length_px / 2 + 4

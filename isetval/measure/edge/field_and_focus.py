@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Capture, Roi, field_mm
+from isetval.core.capture import Capture, field_mm
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.sensor import RoiLike
 from isetval.measure.edge.edge_finding import find_edges
 from isetval.measure.edge.measure_regions import sfr, sfr_batch
 from isetval.measure.edge.sfr_result import SfrResult
@@ -87,7 +88,7 @@ class LensProfile:
 
 
 def lens_profile(
-    captures: Capture | Sequence[Capture], rois: Sequence[Sequence[Roi]] | Sequence[Roi] | None = None, channel: str = "G"
+    captures: Capture | Sequence[Capture], rois: Sequence[Sequence[RoiLike]] | Sequence[RoiLike] | None = None, channel: str = "G"
 ) -> LensProfile:
     """MTF50 against field height, meridional and sagittal.
 
@@ -120,7 +121,7 @@ def lens_profile(
     return LensProfile(tuple(points), tuple(refused), many[0].sensor.half_diagonal_mm, channel)
 
 
-def _region_lists(many: list[Capture], rois: Any, channel: str, *, single: bool) -> list[list[Roi]]:
+def _region_lists(many: list[Capture], rois: Any, channel: str, *, single: bool) -> list[list[RoiLike]]:
     if rois is None:
         return [list(find_edges(capture, channel)) for capture in many]
     given = [rois] if single else list(rois)
@@ -159,7 +160,7 @@ class FocusCurve:
 def through_focus(
     captures: Sequence[Capture],
     focus: ArrayLike,
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     *,
     channels: Iterable[str] = ("R", "G", "B"),
     frequency_cy_px: float = 0.2,
@@ -172,7 +173,7 @@ def through_focus(
     Parameters
     ----------
     captures, focus : n captures and the n focus settings, any unit
-    roi : Roi or None
+    roi : RoiLike or None
     channels : names of channels; one entry ``MONO`` for one-channel captures
     frequency_cy_px : float
 
@@ -230,7 +231,7 @@ class EdgeShift:
 
 
 def color_shift(
-    capture: Capture, roi: Roi | None = None, *, reference: str = "G", channels: Iterable[str] = ("R", "B")
+    capture: Capture, roi: RoiLike | None = None, *, reference: str = "G", channels: Iterable[str] = ("R", "B")
 ) -> dict[str, EdgeShift]:
     """Lateral colour: where the edge lies in each channel against the reference.
 
@@ -252,7 +253,7 @@ def color_shift(
     return out
 
 
-def _accepted(capture: Capture, roi: Roi | None, channel: str) -> SfrResult:
+def _accepted(capture: Capture, roi: RoiLike | None, channel: str) -> SfrResult:
     result = sfr(capture, roi, channel)
     if result.flags:
         raise MeasurementError(f"roi {result.roi}, channel {channel}: {result.messages[result.flags[0]]}")

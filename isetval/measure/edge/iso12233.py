@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, black_image_dn, plane_view
-from isetval.core.sensor import BAYER_PLANES
+from isetval.core.capture import Capture, black_image_dn, plane_view
+from isetval.core.sensor import BAYER_PLANES, RoiLike
 from isetval.measure.edge import result_of_fit, spectrum
 from isetval.measure.edge.first_look import first_look, first_width, prospects
 from isetval.measure.edge.geometry import stacked
@@ -49,7 +49,7 @@ PROCEDURES = {
 }
 
 
-def compatibility_sfr(capture: Capture, roi: Roi, *, channel: str, method: str, oecf: Oecf = None) -> SfrResult:
+def compatibility_sfr(capture: Capture, roi: RoiLike, *, channel: str, method: str, oecf: Oecf = None) -> SfrResult:
     """SFR by one of the published procedures; sigma by leaving out every eighth row in turn."""
     procedure = PROCEDURES[method]
     label = "luminance" if method == "lyu2022" and capture.sensor.cfa != "MONO" else channel
@@ -72,11 +72,11 @@ def compatibility_sfr(capture: Capture, roi: Roi, *, channel: str, method: str, 
     return _report(capture, roi, label, method, samples=samples, sign=float(look.lines.sign[0]), procedure=procedure)
 
 
-def _refuse(capture: Capture, roi: Roi, channel: str, method: str, *, code: str, sentence: str) -> SfrResult:
+def _refuse(capture: Capture, roi: RoiLike, channel: str, method: str, *, code: str, sentence: str) -> SfrResult:
     return result_of_fit.refused(capture, roi, channel=channel, flags={code: sentence}, method=method)
 
 
-def _luminance(capture: Capture, roi: Roi) -> Samples:
+def _luminance(capture: Capture, roi: RoiLike) -> Samples:
     """Bilinear demosaic of the region, then 0.3 R + 0.6 G + 0.1 B."""
     from scipy.ndimage import convolve
 
@@ -197,7 +197,7 @@ def _without(samples: Samples, group: int) -> Samples:
 
 
 def _report(
-    capture: Capture, roi: Roi, channel: str, method: str, *, samples: Samples, sign: float, procedure: Procedure
+    capture: Capture, roi: RoiLike, channel: str, method: str, *, samples: Samples, sign: float, procedure: Procedure
 ) -> SfrResult:
     grid = spectrum.default_frequency()
     pixel_um = capture.sensor.pixel_um

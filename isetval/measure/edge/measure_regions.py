@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi
+from isetval.core.capture import Capture, check_roi
 from isetval.core.errors import InputError
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.edge.alternating_fit import FittedEdges, checked_choices, measure_edges
 from isetval.measure.edge.clipped_tails import STEPS, cut_tails, restored
@@ -33,7 +34,7 @@ STACKED_SAMPLES = 250_000  # 2 MB of doubles, about a core's second-level cache;
 
 def sfr(
     capture: Capture,
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     channel: str = "G",
     *,
     method: str = "default",
@@ -77,7 +78,7 @@ def sfr(
 @one_blas_thread()
 def sfr_batch(
     captures: Capture | Sequence[Capture],
-    rois: Sequence[Roi | None],
+    rois: Sequence[RoiLike | None],
     channel: str = "G",
     *,
     method: str = "default",
@@ -118,7 +119,7 @@ class _Job(Request):
     refusal: Mapping[str, str] | None = None
 
 
-def _job(capture: Capture, roi: Roi | None, channel: str, index: int, oecf: Oecf) -> _Job:
+def _job(capture: Capture, roi: RoiLike | None, channel: str, index: int, oecf: Oecf) -> _Job:
     if not isinstance(capture, Capture):
         raise InputError(f"sfr needs a Capture, not {type(capture).__name__}; see Capture.from_array")
     try:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi
+from isetval.core.capture import Capture
+from isetval.core.sensor import RoiLike
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.alternating_fit import FittedEdges
 from isetval.measure.edge.clipped_tails import clipped_share, lost_information
@@ -32,7 +33,7 @@ class Request:
     """What was asked for: a region of a capture in one channel."""
 
     capture: Capture
-    roi: Roi
+    roi: RoiLike
     channel: str
     oecf: Oecf = None
 
@@ -167,7 +168,7 @@ def folded_angle(normal_deg: float) -> float:
     return float((normal_deg + 45) % 90 - 45)
 
 
-def refused(capture: Capture, roi: Roi, *, channel: str, flags: Mapping[str, str], method: str = "default") -> SfrResult:
+def refused(capture: Capture, roi: RoiLike, *, channel: str, flags: Mapping[str, str], method: str = "default") -> SfrResult:
     """A result without numbers."""
     frequency = spectrum.default_frequency()
     empty = np.zeros(0)

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view
+from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view
 from isetval.core.errors import InputError
-from isetval.core.sensor import pattern_at
+from isetval.core.sensor import RoiLike, pattern_at
 
 Float = NDArray[np.floating[Any]]
 Oecf = float | str | ArrayLike | None
@@ -92,7 +92,7 @@ def check_channel(capture: Capture, channel: str) -> str:
     return channel
 
 
-def plane_samples(capture: Capture, roi: Roi | None, channel: str, *, transposed: bool | None = None) -> Samples:
+def plane_samples(capture: Capture, roi: RoiLike | None, channel: str, *, transposed: bool | None = None) -> Samples:
     """Samples of ``channel`` inside ``roi``, turned so that the edge crosses every row (or as told)."""
     channel = check_channel(capture, channel)
     box = check_roi(capture, roi)
@@ -106,7 +106,7 @@ def plane_samples(capture: Capture, roi: Roi | None, channel: str, *, transposed
     return _quincunx(capture, box, transposed=is_horizontal(greens.astype(float)))
 
 
-def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
+def _grid(capture: Capture, box: RoiLike, channel: str) -> Samples:
     view, (row, col), step = plane_view(capture, channel, box)
     black = plane_black_dn(capture, channel)
     return Samples(
@@ -122,7 +122,7 @@ def _grid(capture: Capture, box: Roi, channel: str) -> Samples:
     )
 
 
-def _quincunx(capture: Capture, box: Roi, *, transposed: bool) -> Samples:
+def _quincunx(capture: Capture, box: RoiLike, *, transposed: bool) -> Samples:
     """Both greens: each row of the mosaic (or each column, when transposed) holds every second pixel."""
     row0, row1, col0, col1 = box
     raw = capture.mosaic[row0:row1, col0:col1]

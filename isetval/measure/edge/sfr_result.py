@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Roi
 from isetval.core.errors import MeasurementError
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.esf_fit import EsfFit, solve_lower
@@ -89,7 +89,7 @@ class SfrResult:
     noise_dark_dn: float
     noise_bright_dn: float
     channel: str
-    roi: Roi
+    roi: RoiLike
     pixel_um: float
     method: str
     settings: Mapping[str, Any]

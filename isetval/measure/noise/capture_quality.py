@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
+from isetval.core.sensor import RoiLike
 from isetval.measure.noise.moments import frame_moments
 from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import AT_BLACK_DN, check_region, frame_mean, frame_noise
@@ -64,7 +65,7 @@ class Quality:
         return pd.DataFrame([vars(f) for f in self.findings], columns=list(Finding.__dataclass_fields__))
 
 
-def quality(captures: Sequence[Capture] | Capture, roi: Roi | None = None) -> Quality:
+def quality(captures: Sequence[Capture] | Capture, roi: RoiLike | None = None) -> Quality:
     """Judge captures before any number is taken from them.
 
     Parameters
@@ -104,7 +105,7 @@ def quality(captures: Sequence[Capture] | Capture, roi: Roi | None = None) -> Qu
     return Quality(verdict, tuple(findings), rejected)
 
 
-def _single(capture: Capture, roi: Roi | None, where: str) -> list[Finding]:
+def _single(capture: Capture, roi: RoiLike | None, where: str) -> list[Finding]:
     out: list[Finding] = []
     planes = {p: plane_view(capture, p, roi)[0] for p in planes_of(capture)}
     if all(view.size == 0 or view.min() == view.max() for view in planes.values()):
@@ -133,7 +134,7 @@ def _single(capture: Capture, roi: Roi | None, where: str) -> list[Finding]:
     return out
 
 
-def _focus(capture: Capture, roi: Roi | None, where: str) -> list[Finding]:
+def _focus(capture: Capture, roi: RoiLike | None, where: str) -> list[Finding]:
     """Edges that are all wide: out of focus, or a subject without any sharp edge."""
     plane = planes_of(capture)[-1 if capture.sensor.cfa == "MONO" else 1]
     view = plane_view(capture, plane, roi)[0]
@@ -224,7 +225,7 @@ def _copy(capture: Capture, previous: NDArray[np.uint16] | None, number: int) ->
     return [Finding("frames_identical", where, 0.0, 1.0, "the same frame twice carries no noise; drop one")]
 
 
-def _series(frames: Sequence[Capture], times: Sequence[float | None], means: Float, roi: Roi | None) -> list[Finding]:
+def _series(frames: Sequence[Capture], times: Sequence[float | None], means: Float, roi: RoiLike | None) -> list[Finding]:
     """What frames say together: by exposure time, each time's held while it is looked at, and over the times."""
     out: list[Finding] = []
     by_time: dict[float | None, list[int]] = {}
@@ -238,7 +239,7 @@ def _series(frames: Sequence[Capture], times: Sequence[float | None], means: Flo
     return out
 
 
-def _same_exposure(frames: Sequence[Capture], means: Float, time: float | None, roi: Roi | None) -> list[Finding]:
+def _same_exposure(frames: Sequence[Capture], means: Float, time: float | None, roi: RoiLike | None) -> list[Finding]:
     """Drift and flicker among frames of one exposure (not among different scenes or light levels)."""
     place = f"frames of {time} s"
     same_shape = all(f.mosaic.shape == frames[0].mosaic.shape for f in frames)

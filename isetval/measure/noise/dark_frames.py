@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.quantity import Quantity, root
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.noise.dark_level import TAG_DIFFERS, DarkLevel, dark_level, differs_from_tag
 from isetval.measure.noise.setups import look_at_frames
@@ -103,7 +104,7 @@ class Dark(Mapping[str, PlaneDark]):
         return pd.DataFrame(rows, columns=["plane", "name", "value", "sigma", "unit", "flags", "note"])
 
 
-def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
+def dark(captures: Sequence[Capture], roi: RoiLike | None = None) -> Dark:
     """Dark signal from frames without light, of one or several exposure times.
 
     Parameters
@@ -144,7 +145,7 @@ def dark(captures: Sequence[Capture], roi: Roi | None = None) -> Dark:
     return Dark(planes)
 
 
-def _one_time(frames: Sequence[Capture], roi: Roi | None) -> dict[str, tuple[DarkLevel, list[float], float]]:
+def _one_time(frames: Sequence[Capture], roi: RoiLike | None) -> dict[str, tuple[DarkLevel, list[float], float]]:
     """Plane -> level without maps, raw mean of each frame, black tag; the frames are let go after."""
     out = {}
     for plane in planes_of(frames[0]):

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view
+from isetval.core.capture import Capture, plane_black_dn, plane_view
 from isetval.core.quantity import Quantity, root
+from isetval.core.sensor import RoiLike
 from isetval.measure.noise.fixed_pattern import FixedPattern, decompose, robust_sd
 from isetval.measure.noise.line_moments import LineMoments
 from isetval.measure.noise.moments import Moments, central, frame_moments
@@ -77,7 +78,9 @@ class DarkLevel:
         return root(Quantity(self.read_variance.value, doubt, "DN^2"), "DN")
 
 
-def dark_level(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, lines: LineMoments | None = None) -> DarkLevel:
+def dark_level(
+    captures: Sequence[Capture], plane: str, roi: RoiLike | None = None, *, lines: LineMoments | None = None
+) -> DarkLevel:
     """Black level and noise of one plane from two or more dark frames (one frame: noise is nan).
 
     With ``lines`` of the whole plane the fixed pattern and the defects of a large one are those of its center.

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isetval.core.capture import Capture, Roi
+from isetval.core.capture import Capture
 from isetval.core.quantity import Quantity, root
+from isetval.core.sensor import RoiLike
 from isetval.measure.noise.dark_frames import dark as dark_analysis
 from isetval.measure.noise.setups import sort_into_setups
 from isetval.measure.noise.transfer import transfer_of_setups
@@ -63,7 +64,7 @@ class EmvaTable:
 
 def emva1288(
     captures: Sequence[Capture],
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     dark: Sequence[Capture] | None = None,
     *,
     photons_per_pixel_s: float | None = None,
@@ -195,7 +196,7 @@ def _patterns(plane: str, t: PlaneTransfer) -> Iterable[EmvaRow]:
     yield _row(plane, "photo-response non-uniformity, dark pattern removed", "PRNU.pixel.all_levels", t.prnu, "all levels")
 
 
-def _dark_rows(darks: Sequence[Capture], roi: Roi | None, result: PhotonTransfer) -> Iterable[EmvaRow]:
+def _dark_rows(darks: Sequence[Capture], roi: RoiLike | None, result: PhotonTransfer) -> Iterable[EmvaRow]:
     for plane, d in dark_analysis(darks, roi).items():
         gain = result[plane].gain_dn_per_e
         level = d.levels[0][1]

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.quantity import Quantity, root
+from isetval.core.sensor import RoiLike
 from isetval.measure.noise.curve import Points
 from isetval.measure.noise.dark_level import DarkLevel
 from isetval.measure.noise.fixed_pattern import FixedPattern, decompose, fit_surface, robust_sd
@@ -82,7 +83,7 @@ class LevelSeries:
 
 
 def measure_levels(
-    setups: Setups, roi: Roi | None, dark: Mapping[str, DarkLevel], profile_black_dn: Mapping[str, float]
+    setups: Setups, roi: RoiLike | None, dark: Mapping[str, DarkLevel], profile_black_dn: Mapping[str, float]
 ) -> dict[str, LevelSeries]:
     """Moments of every level of all planes, one set-up after the other; defective pixels are left out.
 
@@ -115,7 +116,7 @@ class _Plane:
 def _measure_setup(
     setups: Setups,
     i: int,
-    roi: Roi | None,
+    roi: RoiLike | None,
     dark: Mapping[str, DarkLevel],
     profile_black_dn: Mapping[str, float],
     planes: dict[str, _Plane],
@@ -152,7 +153,7 @@ def _has_pattern(setups: Setups, i: int, plane: str, pixels: int) -> bool:
     return light[i] > PATTERN_FROM * max(light)
 
 
-def with_pattern(level: Level, setups: Setups, plane: str, roi: Roi | None, black_dn: float) -> Level:
+def with_pattern(level: Level, setups: Setups, plane: str, roi: RoiLike | None, black_dn: float) -> Level:
     """The level with its fixed pattern, measured now if it was not."""
     if level.fixed is not None:
         return level

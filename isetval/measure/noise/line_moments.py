@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.sensor import RoiLike
 from isetval.measure.noise.moments import column_profile, leave_out
 
 Float = NDArray[np.float64]
@@ -126,7 +127,7 @@ def line_moments(
 
 
 def plane_line_moments(
-    captures: Sequence[Capture], roi: Roi | None, black_dn: Mapping[str, float] | None = None
+    captures: Sequence[Capture], roi: RoiLike | None, black_dn: Mapping[str, float] | None = None
 ) -> dict[str, LineMoments]:
     """Plane -> line moments of two or more captures of one set-up; ``black_dn`` by plane, else the captures' own."""
     first = captures[0]

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Roi
 from isetval.core.quantity import Quantity
+from isetval.core.sensor import RoiLike
 
 Float = NDArray[np.float64]
 Values = NDArray[Any]
@@ -197,7 +197,7 @@ def column_profile(columns: Values, noise: float) -> Values:
     return np.asarray(profile / profile.mean())
 
 
-def neighbor_covariances(planes: Mapping[str, tuple[Moments, tuple[int, int]]], region: Roi) -> dict[str, Quantity]:
+def neighbor_covariances(planes: Mapping[str, tuple[Moments, tuple[int, int]]], region: RoiLike) -> dict[str, Quantity]:
     """Covariance of the temporal noise of neighboring mosaic pixels, DN^2.
 
     Brighter-fatter charge repulsion, read-out crosstalk and noise reduction in the "raw" data correlate

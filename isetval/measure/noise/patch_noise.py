@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
+from isetval.core.sensor import RoiLike
 from isetval.measure.noise.lyu2022 import departure_from_uniform
 from isetval.measure.noise.setups import check_frames
 
@@ -34,7 +35,7 @@ class Patch:
     temporal one, or to the spatial one where there is only one frame.
     """
 
-    region: Roi
+    region: RoiLike
     channel: str
     mean_dn: float
     mean_sigma_dn: float
@@ -73,7 +74,7 @@ class PatchTable:
 
 def uniform_patches(
     captures: Sequence[Capture] | Capture,
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     *,
     method: str = "two_frame",
     size: int = 10,
@@ -143,7 +144,7 @@ def _channels(capture: Capture, channel: str | None) -> list[tuple[str, ...]]:
     return [(channel,)]
 
 
-def _corners(region: Roi, size: int, count: int | None, seed: int) -> NDArray[np.int64]:
+def _corners(region: RoiLike, size: int, count: int | None, seed: int) -> NDArray[np.int64]:
     """Top-left corners (patches, 2) on the mosaic, at even distances from the region's corner."""
     row0, row1, col0, col1 = region
     if row1 - row0 < size or col1 - col0 < size or size < 4:
@@ -230,7 +231,7 @@ def _published_rule(
     return out
 
 
-def _values(capture: Capture, region: Roi, channel: str) -> tuple[Float, Float, Float]:
+def _values(capture: Capture, region: RoiLike, channel: str) -> tuple[Float, Float, Float]:
     planes = (
         ("Gr", "Gb")
         if channel == "G" and capture.sensor.cfa != "MONO"

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.sensor import RoiLike
 
 Geometry = tuple[tuple[int, ...], str, tuple[int, int]]
 LEVEL_GAP = 0.03  # light of lamps drifts by 1 % and flickers by 2 %; neighboring levels of a series lie 10 % apart or more
@@ -72,7 +73,7 @@ class Setups:
         return float(np.mean([self.looks[i].plane_mean_dn[plane] for i in numbers]))
 
 
-def look_at_frames(*series: Sequence[Capture], roi: Roi | None = None) -> list[FrameLook]:
+def look_at_frames(*series: Sequence[Capture], roi: RoiLike | None = None) -> list[FrameLook]:
     """One look at every capture of one or more series, each held only while it is looked at.
 
     Raises
@@ -95,7 +96,7 @@ def look_at_frames(*series: Sequence[Capture], roi: Roi | None = None) -> list[F
     return looks
 
 
-def _look(capture: Capture, roi: Roi | None) -> FrameLook:
+def _look(capture: Capture, roi: RoiLike | None) -> FrameLook:
     means = {plane: plane_mean_dn(capture, plane, roi) for plane in planes_of(capture)}
     mosaic = capture.mosaic
     first = mosaic.flat[0]
@@ -133,7 +134,7 @@ def _check_geometry(number: int, found: Geometry, first: Geometry) -> None:
         )
 
 
-def check_region(capture: Capture, roi: Roi | None) -> None:
+def check_region(capture: Capture, roi: RoiLike | None) -> None:
     """Refuse a region in which a plane has fewer than 4 x 4 pixels."""
     for plane in planes_of(capture):
         shape = plane_view(capture, plane, roi)[0].shape
@@ -144,14 +145,14 @@ def check_region(capture: Capture, roi: Roi | None) -> None:
             )
 
 
-def plane_mean_dn(capture: Capture, plane: str, roi: Roi | None = None) -> float:
+def plane_mean_dn(capture: Capture, plane: str, roi: RoiLike | None = None) -> float:
     """Mean of (DN - black) of one plane, from evenly spread pixels, stray values held to 8 robust sd."""
     view = plane_view(capture, plane, roi)[0]
     step = max(1, int(math.sqrt(view.size / SAMPLE * len(planes_of(capture)))))
     return _held_mean(view[::step, ::step].ravel()) - plane_black_dn(capture, plane)
 
 
-def frame_mean(capture: Capture, roi: Roi | None = None) -> float:
+def frame_mean(capture: Capture, roi: RoiLike | None = None) -> float:
     """Mean over the planes of (DN - black) of one frame."""
     return float(np.mean([plane_mean_dn(capture, plane, roi) for plane in planes_of(capture)]))
 
@@ -165,7 +166,7 @@ def _held_mean(values: NDArray[np.uint16]) -> float:
     return float(np.clip(values, center - WILD_SD * spread, center + WILD_SD * spread).mean())
 
 
-def frame_noise(capture: Capture, roi: Roi | None = None) -> float:
+def frame_noise(capture: Capture, roi: RoiLike | None = None) -> float:
     """Standard deviation of one pixel from differences of horizontal neighbors of a plane, DN (at least 0.3)."""
     view = plane_view(capture, planes_of(capture)[0], roi)[0]
     if view.shape[1] < 2:
@@ -174,7 +175,7 @@ def frame_noise(capture: Capture, roi: Roi | None = None) -> float:
     return max(float(np.mean(np.abs(np.diff(rows, axis=1)))) * math.sqrt(math.pi) / 2, LEAST_NOISE_DN)
 
 
-def sort_into_setups(captures: Sequence[Capture], roi: Roi | None = None, dark: Sequence[Capture] | None = None) -> Setups:
+def sort_into_setups(captures: Sequence[Capture], roi: RoiLike | None = None, dark: Sequence[Capture] | None = None) -> Setups:
     """Darks and levels of a photon-transfer series.
 
     Notes

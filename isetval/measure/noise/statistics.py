@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.quantity import Quantity
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.noise.fixed_pattern import NO_ROW_NOISE, FixedPattern, decompose
 from isetval.measure.noise.moments import Moments, frame_moments, neighbor_covariances
@@ -48,7 +49,7 @@ class PlaneStatistics:
         return iter(self.quantities)
 
 
-def flat_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
+def flat_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
     """Statistics of frames of one uniformly lit set-up.
 
     Parameters
@@ -74,19 +75,19 @@ def flat_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degr
     return _statistics(captures, roi, degree, relative=True)
 
 
-def dark_statistics(captures: Sequence[Capture], roi: Roi | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
+def dark_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
     """Statistics of dark frames of one exposure time; see ``flat_statistics``."""
     return _statistics(captures, roi, degree, relative=False)
 
 
-def plane_moments(captures: Sequence[Capture], plane: str, roi: Roi | None = None, *, keep: bool = False) -> Moments:
+def plane_moments(captures: Sequence[Capture], plane: str, roi: RoiLike | None = None, *, keep: bool = False) -> Moments:
     """Moments of one color plane of same-sized captures, DN above their black level."""
     views = [plane_view(capture, plane, roi)[0] for capture in captures]
     return frame_moments(views, plane_black_dn(captures[0], plane), keep=keep)
 
 
 @one_blas_thread()
-def _statistics(captures: Sequence[Capture], roi: Roi | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
+def _statistics(captures: Sequence[Capture], roi: RoiLike | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
     check_frames(captures)
     check_region(captures[0], roi)
     out: dict[str, PlaneStatistics] = {}
@@ -104,7 +105,7 @@ def _statistics(captures: Sequence[Capture], roi: Roi | None, degree: int, *, re
     return out
 
 
-def _without_noisy(captures: Sequence[Capture], plane: str, roi: Roi | None, moments: Moments) -> Moments:
+def _without_noisy(captures: Sequence[Capture], plane: str, roi: RoiLike | None, moments: Moments) -> Moments:
     """The same moments with noisy pixels left out, so that they do not spoil their row's mean."""
     if moments.frames < 2:
         return moments
@@ -287,6 +288,6 @@ def _correlation(names: list[str], quantities: Mapping[str, Quantity], fixed: Fl
     return out
 
 
-def _mosaic_statistics(covariances: dict[str, Quantity], frames: int, region: Roi) -> PlaneStatistics:
+def _mosaic_statistics(covariances: dict[str, Quantity], frames: int, region: RoiLike) -> PlaneStatistics:
     pixels = (region[1] - region[0]) * (region[3] - region[2])
     return PlaneStatistics("mosaic", frames, pixels, covariances, np.eye(len(covariances)), np.full(frames, NAN), NAN)

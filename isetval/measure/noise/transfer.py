@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.quantity import Quantity, root
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.noise.curve import Anchor, CurveFit, Points, bend_coefficient, fit_curve
 from isetval.measure.noise.dark_level import DarkLevel, dark_level
@@ -38,7 +39,7 @@ class _Series:
     """The set-ups of one call and what was measured of them; neighbor covariances by level when first asked for."""
 
     setups: Setups
-    roi: Roi | None
+    roi: RoiLike | None
     photons: Sequence[float | None] | None
     dark: dict[str, DarkLevel]
     covariances: dict[tuple[int, ...], dict[str, Quantity]] = field(default_factory=dict)
@@ -53,7 +54,7 @@ class _Series:
 
 def photon_transfer(
     captures: Sequence[Capture],
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     dark: Sequence[Capture] | None = None,
     *,
     method: str = "default",
@@ -111,7 +112,7 @@ def photon_transfer(
 
 def transfer_of_setups(
     setups: Setups,
-    roi: Roi | None,
+    roi: RoiLike | None,
     *,
     method: str = "default",
     choices: Mapping[str, Any] | None = None,
@@ -127,13 +128,13 @@ def transfer_of_setups(
     return PhotonTransfer(planes, method, setups.notes)
 
 
-def _measure(setups: Setups, roi: Roi | None) -> tuple[dict[str, LevelSeries], dict[str, DarkLevel]]:
+def _measure(setups: Setups, roi: RoiLike | None) -> tuple[dict[str, LevelSeries], dict[str, DarkLevel]]:
     """Levels and darks of all planes; the darks first: they say where black is."""
     darks, profile_black_dn = _measure_darks(setups, roi)
     return measure_levels(setups, roi, darks, profile_black_dn), darks
 
 
-def _measure_darks(setups: Setups, roi: Roi | None) -> tuple[dict[str, DarkLevel], dict[str, float]]:
+def _measure_darks(setups: Setups, roi: RoiLike | None) -> tuple[dict[str, DarkLevel], dict[str, float]]:
     """Plane -> dark level, and plane -> raw mean where there are two frames or more."""
     if not setups.dark:
         return {}, {}
@@ -342,7 +343,7 @@ def _four_neighbors(of: _Series, level: Level, plane: str) -> Quantity:
     return Quantity(2 * sum(q.value for q in mine), 2 * math.sqrt(sum(q.sigma**2 for q in mine)), "DN^2")
 
 
-def _mosaic_covariances(captures: Sequence[Capture], roi: Roi | None) -> dict[str, Quantity]:
+def _mosaic_covariances(captures: Sequence[Capture], roi: RoiLike | None) -> dict[str, Quantity]:
     row0, row1, col0, col1 = check_roi(captures[0], roi)
     region = (row0, min(row1, row0 + COVARIANCE_SIDE), col0, min(col1, col0 + COVARIANCE_SIDE))
     planes = {}

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.capture import Capture, Roi, check_roi, plane_black_dn, planes_of
+from isetval.core.capture import Capture, check_roi, plane_black_dn, planes_of
 from isetval.core.errors import MeasurementError
-from isetval.core.sensor import plane_position
+from isetval.core.sensor import RoiLike, plane_position
 
 Float = NDArray[np.float64]
 Int = NDArray[np.intp]
@@ -73,7 +73,7 @@ def _edges(count: int, size: int) -> Int:
     return np.linspace(0, count, max(1, round(count / size)) + 1).round().astype(np.intp)
 
 
-def _accumulate(frame: Capture, roi: Roi, step: int, size: int) -> _Sums:
+def _accumulate(frame: Capture, roi: RoiLike, step: int, size: int) -> _Sums:
     """One pass over the frame: every band of block rows is read once and forgotten."""
     row0, row1, col0, col1 = roi
     cells = ((row1 - row0) // step, (col1 - col0) // step)
@@ -181,7 +181,7 @@ def _slopes(signal: Float) -> list[Float]:
 
 
 def measure_blocks(
-    frame: Capture, *, roi: Roi | None = None, block_px: int = 24, black_dn: dict[str, float] | None = None
+    frame: Capture, *, roi: RoiLike | None = None, block_px: int = 24, black_dn: dict[str, float] | None = None
 ) -> dict[str, Blocks]:
     """Block means of every colour plane of a frame.
 
@@ -244,7 +244,7 @@ def _repair(
     return used, clipped, bad_pixels
 
 
-def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, int], box: Roi, black: float) -> Blocks:
+def _plane_blocks(frame: Capture, plane: str, sums: _Sums, *, phase: tuple[int, int], box: RoiLike, black: float) -> Blocks:
     """Signal, noise and place of one plane's blocks from the raw sums."""
     step = sums.total.shape[0]
     heights, widths = np.diff(sums.row_edges), np.diff(sums.col_edges)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from isetval.core.capture import Capture, Roi
+from isetval.core.capture import Capture
 from isetval.core.errors import InputError
+from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.shading.blocks import Blocks
 from isetval.measure.shading.flats import collect_blocks
@@ -60,7 +61,7 @@ def separate_rotated(
     flat_0: Capture | Sequence[Capture],
     flat_180: Capture | Sequence[Capture],
     *,
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     dark: Capture | Sequence[Capture] | None = None,
     choices: Mapping[str, Any] | None = None,
 ) -> RotatedSeparation:

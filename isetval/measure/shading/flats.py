@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from isetval.core.capture import Capture, Roi, plane_view, planes_of
+from isetval.core.capture import Capture, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
-from isetval.core.sensor import Sensor
+from isetval.core.sensor import RoiLike, Sensor
 from isetval.measure.shading.blocks import DIFFERENCE_VARIANCE_FACTOR, Blocks, measure_blocks, smooth_variance
 
 BLOCK_PX = 24  # 63 x 84 blocks of a 12 MP frame: curvature inside one, which the fit corrects, is 1e-4 under cos^4
@@ -36,7 +36,7 @@ class _Frame:
 def collect_blocks(
     captures: Capture | Iterable[Capture],
     *,
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     dark: Capture | Iterable[Capture] | None = None,
     block_px: int | None = None,
 ) -> tuple[dict[str, Blocks], Sensor, int, tuple[str, ...]]:
@@ -105,7 +105,7 @@ def _dark_means(dark: Capture | Iterable[Capture]) -> dict[str, float]:
     return {p: float(np.mean([m[p] for m in means])) for p in means[0]}
 
 
-def _measure(capture: Capture, roi: Roi | None, size: int, black: dict[str, float] | None) -> _Frame:
+def _measure(capture: Capture, roi: RoiLike | None, size: int, black: dict[str, float] | None) -> _Frame:
     blocks = measure_blocks(capture, roi=roi, block_px=size, black_dn=black)
     level = max(float(np.nanmedian(b.signal_dn)) if np.isfinite(b.signal_dn).any() else 0.0 for b in blocks.values())
     share = max(1 - float(b.used.mean()) for b in blocks.values())

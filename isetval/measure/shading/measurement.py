@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincc
 
-from isetval.core.capture import Capture, Roi
+from isetval.core.capture import Capture
 from isetval.core.errors import InputError
-from isetval.core.sensor import Sensor
+from isetval.core.sensor import RoiLike, Sensor
 from isetval.core.threads import one_blas_thread
 from isetval.measure.shading.blocks import Blocks
 from isetval.measure.shading.derived import color_shading, gain_map_report, odd_even, own_surface
@@ -33,7 +33,7 @@ HIGHEST_WISH = 60  # of an order that may be asked for: one interval a block bet
 def relative_illumination(
     captures: Capture | Sequence[Capture],
     *,
-    roi: Roi | None = None,
+    roi: RoiLike | None = None,
     dark: Capture | Sequence[Capture] | None = None,
     radius_mm: ArrayLike | None = None,
     geometry: str | None = None,
