@@ -21,6 +21,8 @@ from isetval.files.folder_reading import FolderFacts
 from isetval.files.registration import patch_levels, register_chart, register_edges
 from isetval.files.shot_grouping import ShotGroup, shot_groups
 
+TOLD = "as told"
+HIDDEN_SIGMAS = 10.0  # structure of blocks beyond that many of their sigmas is always seen: a flat is then a flat
 Progress = Callable[[str, int, int], None]
 DARK_SHARE = 0.004  # of the range: below what a lens cap leaks, above what dark current and a wrong black level make
 DARK_SHARE_NAMED = 0.05  # where the folder says dark: long exposures of warm sensors
@@ -70,7 +72,7 @@ def first_look(group: ShotGroup, capture: Capture, *, role: str | None = None) -
     fact, said = group.first, role or group.words.role
     share = max(fact.levels_dn) / fact.span_dn
     if role in ("dark", "flat"):
-        return Content(role, "as told")
+        return Content(role, TOLD)
     lit = fact.wavelength_nm is not None or said == "flat"
     if role is None and not lit and share < (DARK_SHARE_NAMED if said == "dark" else DARK_SHARE):
         return Content("dark", f"its mean lies {100 * share:.2f} % of the range above black")
@@ -87,6 +89,8 @@ def second_look(one: Seen, seen: Sequence[Seen], capture: Capture, *, role: str 
         return borrowed
     if role == "chart":
         return one.content
+    if capture.provenance.get("levels_only"):
+        return replace(one.content, why=f"{one.content.why}; its sidecar says that only its levels are the sensor's, so no edge")
     edges, refused = register_edges(capture)
     if edges:
         return Content("edge", f"slanted edges: {len(edges)}", edges=edges, refused=refused)
@@ -120,16 +124,26 @@ def unevenness(fact: FileFacts) -> float:
 
 
 def lit_after_all(one: Seen, seen: Sequence[Seen]) -> Content:
-    """A frame as dark as a dark in a bracket of lit ones: its exposure is short enough for that."""
+    """A frame as dark as a dark, or as even as a flat, in a bracket of brighter ones that are not: its exposure is too short."""
     group, content = one.group, one.content
-    if content.role != "dark" or group.words.role == "dark":
+    if content.role not in ("dark", "flat") or content.why == TOLD or group.words.role == content.role:
         return content
     for other in seen:
         theirs, time_s = other.group.first, other.group.first.exposure.time_s
         same = (theirs.place, theirs.window, other.group.session) == (group.first.place, group.first.window, group.session)
-        if not same or other.content.role == "dark" or not time_s or other.group.clipped:
+        if not same or other.content.role == content.role or other.group.level_dn <= group.level_dn:
             continue
-        expected = other.group.level_dn / time_s * (group.first.exposure.time_s or 0.0)
+        if not time_s or theirs.wavelength_nm != group.first.wavelength_nm or time_s == group.first.exposure.time_s:
+            continue
+        shorter = (group.first.exposure.time_s or 0.0) / time_s
+        if content.role == "flat":
+            structure = shorter * float(theirs.blocks_dn.std())
+            if structure < HIDDEN_SIGMAS * group.first.block_sigma_dn:
+                return Content("scene", f"even because it is dim: {theirs.file}, longer exposed, is not")
+            continue
+        if other.group.clipped:
+            continue
+        expected = other.group.level_dn * shorter
         if abs(group.level_dn - expected) < expected / 2 and expected > LEAST_SIGNAL_DN:
             return Content("scene", f"dim, but as {theirs.file} would be at its exposure")
     return content

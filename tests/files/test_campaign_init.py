@@ -264,6 +264,24 @@ def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_
     assert abs((col - 300) * np.cos(np.radians(5)) - (row - 400) * np.sin(np.radians(5))) < 0.3
 
 
+def test_a_folder_in_which_all_lie_together_is_told_apart_by_content(tmp_path):
+    y, x = np.mgrid[0:120, 0:120]
+    edge = np.where((x - 60) * np.cos(0.09) - (y - 60) * np.sin(0.09) < 0, 200.0, 2500.0)
+    pictures = [
+        (np.zeros((120, 120)), 0.01),
+        (np.full((120, 120), 400.0), 0.01),
+        (np.full((120, 120), 1600.0), 0.04),
+        (edge, 0.06),
+    ]
+    for k, (electrons, time_s) in enumerate(pictures):
+        for i in range(2):
+            _write(tmp_path / f"IMG_{2 * k + i:04d}.dng", electrons, time_s, 2 * k + i)
+    assert main(["campaign", "init", str(tmp_path), "-q"]) == 0
+    found = {(s.role, s.exposure.time_s, s.files) for s in isetval.load_campaign(tmp_path).shots}
+    files = [tuple(f"IMG_{2 * k + i:04d}.dng" for i in range(2)) for k in range(4)]
+    assert found == {("dark", 0.01, files[0]), ("flat", 0.01, files[1]), ("flat", 0.04, files[2]), ("edge", 0.06, files[3])}
+
+
 def _tilted_chart():
     """A chart under perspective: its projection of (column, row) in pitches to pixels, and its colours (450, 620, 3)."""
     from skimage.transform import ProjectiveTransform
