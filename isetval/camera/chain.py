@@ -187,7 +187,7 @@ def _lit(scene: Scene) -> Scene:
 
 def _radiance(scene: Scene, context: Context, how: Rendering) -> Signal:
     if isinstance(scene.target, RenderedTarget):
-        from isetval.scenes.rendered.rendered_target import rendered_radiance
+        from isetval.scenes.rendered_target import rendered_radiance
 
         return rendered_radiance(scene, context, progress=how.progress, draw=how.draw)
     return planar_radiance(scene, context)

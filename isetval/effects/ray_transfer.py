@@ -25,7 +25,7 @@ from isetval.lens.measured_lens import MeasuredLens, read_measured_lens
 from isetval.lens.ray_transfer import RayTransferLens
 from isetval.lens.spot_table import SpotTable, spot_table
 from isetval.scenes.rendered.lens_view import LensView, lens_view
-from isetval.scenes.rendered.rendered_target import RenderedScene
+from isetval.scenes.rendered_target import RenderedScene
 
 Float = NDArray[np.float64]
 REACH_STEP_MM, DECENTER_MM = 0.05, 0.3  # tables end beyond the corner by the largest decentre, at a whole step

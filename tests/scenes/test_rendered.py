@@ -16,7 +16,7 @@ from isetval.lens.focus import film_for_object
 from isetval.scenes.rendered.accumulation import Render
 from isetval.scenes.rendered.lens_view import lens_view
 from isetval.scenes.rendered.own_spectra import lamp
-from isetval.scenes.rendered.rendered_target import Picture, rendered_mean, rendered_radiance
+from isetval.scenes.rendered_target import Picture, rendered_mean, rendered_radiance
 
 pytestmark = pytest.mark.mitsuba
 GRID = np.arange(450.0, 651.0, 25.0)
