@@ -17,6 +17,7 @@ SERIES = {
     "gain_dn_per_e": "conversion gain",
     "read_noise_e": "read noise",
     "read_noise_dn": "read noise",
+    "quantum_efficiency": "quantum efficiency",
     "prnu": "PRNU",
     "dsnu_e": "DSNU",
     "dsnu_dn": "DSNU",
