@@ -17,7 +17,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
-from isetval.loop.adding import read_result
+from isetval.loop.model_update import read_result
 
 COMMITMENT = "commitment.json"
 KINDS = ("null", "single", "pair")

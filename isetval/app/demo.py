@@ -67,7 +67,7 @@ def chosen_hidden(nominal: CameraModel, hide: str) -> Effect:
         For an unknown effect or parameter, a value out of bounds, or a strength that leaves the camera as it is.
     """
     from isetval.camera.model_file import make_effect
-    from isetval.loop.adding import from_settings
+    from isetval.loop.model_update import from_settings
 
     name, colon, settings = hide.partition(":")
     start = nominal.effect(name) or make_effect(name, {}, "--hide")
@@ -260,7 +260,7 @@ def _loop(
 
 def _add(nominal: CameraModel, diagnosis: Diagnosis, campaign: Campaign, own: OwnFiles, step: Say) -> CameraModel:
     import isetval
-    from isetval.loop.adding import add_effect, from_diagnosis
+    from isetval.loop.model_update import add_effect, from_diagnosis
 
     folder = own.folder
     file = folder / "diagnosis.json"

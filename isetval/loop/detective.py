@@ -14,7 +14,7 @@ from isetval.core.campaign import Campaign
 from isetval.loop.candidates import Candidate, aligned, candidates_for, signatures
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Refit, class_posterior, log_hessian, posteriors, refit, smallest_detectable
 from isetval.loop.fit import far_values
-from isetval.loop.investigation import Case, confirmed, holds, rebase, second_session
+from isetval.loop.investigation import Investigation, confirmed, holds, rebase, second_session
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
 from isetval.loop.replacement import swap
@@ -99,7 +99,7 @@ def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared
     return Diagnosis("gate_failed", (), (), (), (), words, (), gate, model, model, notes=prepared.table.notes)
 
 
-def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Case:
+def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Investigation:
     say("fitting the nuisances of the nominal model")
     problem, fitted = prepared.settled(model)
     wanted = candidates_for(model)
@@ -107,10 +107,10 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     frame = make_frame(fitted)
     made = signatures(problem, Point(model, far_values(fitted)), wanted, project=frame.basis[: frame.rows])
     made = aligned(problem, fitted, made)
-    return Case(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame)
+    return Investigation(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame)
 
 
-def _investigate(case: Case, say: Say) -> list[Finding]:
+def _investigate(case: Investigation, say: Say) -> list[Finding]:
     """Name effects until none passes; returns the patterns that are left over."""
     for turn in range(MAX_EFFECTS):
         scores = score_all(case)
@@ -139,11 +139,11 @@ def _investigate(case: Case, say: Say) -> list[Finding]:
     return findings(case.problem, make_frame(case.fitted), alpha=ALPHA, second=second_session(case))
 
 
-def _names(case: Case) -> list[str]:
+def _names(case: Investigation) -> list[str]:
     return [r.candidate.name for r in case.named]
 
 
-def score_all(case: Case) -> dict[str, Score]:
+def score_all(case: Investigation) -> dict[str, Score]:
     """The profiled score of every candidate at the present fit.
 
     A parameter that also carries a tolerance of the laboratory is tested like any other: the prior is one more row of
@@ -184,7 +184,7 @@ def _row(candidate: Candidate, found: Score, tests: int, observable: bool) -> Ca
     )
 
 
-def _refit(case: Case, candidate: Candidate, found: Score) -> Refit:
+def _refit(case: Investigation, candidate: Candidate, found: Score) -> Refit:
     return refit(
         case.problem,
         case.fitted,
@@ -195,7 +195,7 @@ def _refit(case: Case, candidate: Candidate, found: Score) -> Refit:
     )
 
 
-def _name(case: Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
+def _name(case: Investigation, refits: Sequence[Refit], tests: int, turn: int) -> None:
     best = refits[0]
     chances = posteriors([r.log_evidence for r in refits], tests)
     frame = make_frame(case.fitted)
@@ -207,10 +207,10 @@ def _name(case: Case, refits: Sequence[Refit], tests: int, turn: int) -> None:
         if c.name not in (best.candidate.name, *case.unobservable)
         and cosine(frame, white[best.candidate.name], white[c.name]) > SAME_RHO
     ]
-    case.classes.append(tuple(dict.fromkeys([*rivals, *close])))
+    case.equivalent.append(tuple(dict.fromkeys([*rivals, *close])))
     case.rivals.append(rivals)
     case.named.append(best)
-    case.beaten.append(tuple(refits[1:]))
+    case.runners_up.append(tuple(refits[1:]))
     members = [0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]
     case.named_posteriors.append(class_posterior(refits, members, tests))
     if turn == 0:

@@ -26,7 +26,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(eq=False)
-class Case:
+class Investigation:
     """The state of one investigation."""
 
     prepared: Prepared
@@ -35,18 +35,18 @@ class Case:
     fitted: Fit
     candidates: tuple[Candidate, ...]
     signatures: dict[str, Signature]
-    frame0: Frame
+    nominal_frame: Frame
     named: list[Refit] = field(default_factory=list)
     named_posteriors: list[tuple[float, float, float]] = field(default_factory=list)
-    classes: list[tuple[str, ...]] = field(default_factory=list)
+    equivalent: list[tuple[str, ...]] = field(default_factory=list)
     rivals: list[tuple[str, ...]] = field(default_factory=list)
-    beaten: list[tuple[Refit, ...]] = field(default_factory=list)
+    runners_up: list[tuple[Refit, ...]] = field(default_factory=list)
     rows: list[CandidateRow] = field(default_factory=list)
     unobservable: tuple[str, ...] = ()
     remarks: list[str] = field(default_factory=list)
 
 
-def second_session(case: Case) -> Second | None:
+def second_session(case: Investigation) -> Second | None:
     """The hold-out under the model named so far."""
     if case.held is None:
         return None
@@ -55,7 +55,7 @@ def second_session(case: Case) -> Second | None:
     return Second(problem, make_frame(fitted), fitted.residual)
 
 
-def _holdout_gain(case: Case, held: Prepared, found: Refit, say: Say) -> float:
+def _holdout_gain(case: Investigation, held: Prepared, found: Refit, say: Say) -> float:
     """By how much chi2 of the hold-out falls with a further effect as found, with the same weights on both sides."""
     before = named_model(case, case.named, case.fitted)
     after = named_model(case, [*case.named, found], found.fitted)
@@ -64,7 +64,7 @@ def _holdout_gain(case: Case, held: Prepared, found: Refit, say: Say) -> float:
     return gain
 
 
-def confirmed(case: Case, found: Refit, p: float, tests: int, say: Say) -> bool:
+def confirmed(case: Investigation, found: Refit, p: float, tests: int, say: Say) -> bool:
     """Whether a first effect keeps odds of 19 to 1 when the hold-out has spoken (it need not where p is below `SURE`).
 
     The frozen effect's predictive log-likelihood ratio on the hold-out, half the gain in chi2, adds to the evidence.
@@ -79,14 +79,14 @@ def confirmed(case: Case, found: Refit, p: float, tests: int, say: Say) -> bool:
     return False
 
 
-def holds(case: Case, found: Refit, tests: int, say: Say) -> bool:
+def holds(case: Investigation, found: Refit, tests: int, say: Say) -> bool:
     """Whether a further effect has odds of 19 to 1 and also helps on captures that it was not fitted to."""
     if found.log_evidence < np.log(ODDS * tests):
         return False
     return case.held is None or _holdout_gain(case, case.held, found, say) > WORTH_ON_HOLDOUT * found.dchi2
 
 
-def rebase(case: Case, say: Say) -> None:
+def rebase(case: Investigation, say: Say) -> None:
     """Predict and weigh anew at the model found so far, until it stands: variances grow with the effect."""
     keys = [key for found in case.named for key in found.candidate.keys]
     drawn = any(found.candidate.effect.rare for found in case.named)
@@ -111,7 +111,7 @@ def _shift(before: Fit, after: Fit, key: str) -> float:
     return abs(new - old) / max(old_sigma, new_sigma, 1e-300)
 
 
-def named_model(case: Case, named: Sequence[Refit], fitted: Fit) -> CameraModel:
+def named_model(case: Investigation, named: Sequence[Refit], fitted: Fit) -> CameraModel:
     """The nominal model with effects at the values of a fit."""
     model = case.prepared.model
     for found in named:

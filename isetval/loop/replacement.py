@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from isetval.core.parameter import Parameter
 from isetval.loop.evidence import PROBABILITY_CAP, Refit, log_hessian, without_prior, without_values
 from isetval.loop.fit import Fit, fit, nuisance_parameters
-from isetval.loop.investigation import ODDS, Case, named_model
+from isetval.loop.investigation import ODDS, Investigation, named_model
 
 Float = NDArray[np.float64]
 Say = Callable[[str], None]
 
 
-def swap(case: Case, say: Say) -> bool:
+def swap(case: Investigation, say: Say) -> bool:
     """Replace earlier names where the evidence with all later ones prefers a beaten candidate by 19 to 1."""
     swapped = False
     for place, earlier in enumerate(case.named[:-1]):
-        beaten = [r for r in case.beaten[place] if r.candidate.name not in [other.candidate.name for other in case.named]]
+        beaten = [r for r in case.runners_up[place] if r.candidate.name not in [other.candidate.name for other in case.named]]
         if not beaten:
             continue
         say(f"weighing {', '.join(r.candidate.name for r in beaten)} in place of {earlier.candidate.name} again")
@@ -38,7 +38,7 @@ def swap(case: Case, say: Say) -> bool:
     return swapped
 
 
-def _in_place_of(case: Case, place: int, rival: Refit) -> Fit:
+def _in_place_of(case: Investigation, place: int, rival: Refit) -> Fit:
     """The joint fit with ``rival`` in place of one of the named effects."""
     others = [named for i, named in enumerate(case.named) if i != place]
     model = rival.candidate.model_with(named_model(case, others, case.fitted)).with_values(dict(rival.values))
@@ -52,18 +52,18 @@ def _in_place_of(case: Case, place: int, rival: Refit) -> Fit:
     return fit(case.problem, without_values(case.fitted.point, gone, model), (*free, *effects))
 
 
-def _odds(case: Case, earlier: Refit, rival: Refit, joint: Fit) -> float:
+def _odds(case: Investigation, earlier: Refit, rival: Refit, joint: Fit) -> float:
     """Logarithm of the evidence with ``rival`` over that with ``earlier``, the other effects in both (Laplace)."""
     widths = float(np.sum(np.log(earlier.candidate.tau)) - np.sum(np.log(rival.candidate.tau)))
     sides = float(np.log(2.0)) * (int(rival.candidate.one_sided) - int(earlier.candidate.one_sided))
     return (case.fitted.chi2 - joint.chi2) / 2 - (log_hessian(joint) - log_hessian(case.fitted)) / 2 + widths + sides
 
 
-def _exchange(case: Case, place: int, rival: Refit, odds: float) -> None:
+def _exchange(case: Investigation, place: int, rival: Refit, odds: float) -> None:
     """Put ``rival`` where another effect was named; that one is no rival of what has beaten it."""
     case.remarks.append(f"{case.named[place].candidate.name} was named first and gave way to {rival.candidate.name}")
     case.named[place] = rival
     case.fitted = rival.fitted
-    case.classes[place] = case.rivals[place] = ()
+    case.equivalent[place] = case.rivals[place] = ()
     chance = min(1 / (1 + float(np.exp(-odds))), PROBABILITY_CAP)
     case.named_posteriors[place] = (chance, chance, chance)

@@ -9,7 +9,7 @@ from typing import Any
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Signature
 from isetval.loop.comparison import captures_of, ladder_rows
-from isetval.loop.investigation import Case, named_model, second_session
+from isetval.loop.investigation import Investigation, named_model, second_session
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter
@@ -19,7 +19,9 @@ from isetval.loop.unknown import Finding, family_excess, misfit, pulled
 Say = Callable[[str], None]
 
 
-def account_of(case: Case, gate: Mapping[str, Any], leftovers: list[Finding], *, alpha: float, say: Say, more: bool) -> Diagnosis:
+def account_of(
+    case: Investigation, gate: Mapping[str, Any], leftovers: list[Finding], *, alpha: float, say: Say, more: bool
+) -> Diagnosis:
     """Everything that an investigation found; ``more`` also searches the next captures."""
     prepared, held = case.prepared, case.held
     nominal = prepared.model
@@ -55,12 +57,12 @@ def account_of(case: Case, gate: Mapping[str, Any], leftovers: list[Finding], *,
     )
 
 
-def _pairs(case: Case) -> list[tuple[Signature, Signature]]:
+def _pairs(case: Investigation) -> list[tuple[Signature, Signature]]:
     """The named effects against what is closest to them."""
-    frame = case.frame0
+    frame = case.nominal_frame
     white = {name: case.problem.whitened(s.columns) for name, s in case.signatures.items()}
     out = []
-    for best, others in zip(case.named, case.classes, strict=True):
+    for best, others in zip(case.named, case.equivalent, strict=True):
         name = best.candidate.name
         rated = sorted(
             ((cosine(frame, white[name], white[o]), o) for o in white if o != name and o not in case.unobservable), reverse=True
@@ -70,10 +72,10 @@ def _pairs(case: Case) -> list[tuple[Signature, Signature]]:
     return out
 
 
-def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
+def _model_with(case: Investigation) -> tuple[CameraModel, list[NamedEffect]]:
     """The nominal model with the named effects at their fitted values, and their description."""
     model, effects = case.prepared.model, []
-    for best, chance, others in zip(case.named, case.named_posteriors, case.classes, strict=True):
+    for best, chance, others in zip(case.named, case.named_posteriors, case.equivalent, strict=True):
         candidate = best.candidate
         values = {key: case.fitted.value(key) for key in candidate.keys}
         named = zip(candidate.parameters, candidate.keys, strict=True)
@@ -92,7 +94,7 @@ def _model_with(case: Case) -> tuple[CameraModel, list[NamedEffect]]:
     return model, effects
 
 
-def _against_priors(case: Case, alpha: float) -> list[str]:
+def _against_priors(case: Investigation, alpha: float) -> list[str]:
     """Pulls of the laboratory's unknowns that are too long, and a hold-out that does not fit, under the named model."""
     fits = [("the captures used", case.fitted)]
     words: list[str] = []
@@ -103,7 +105,7 @@ def _against_priors(case: Case, alpha: float) -> list[str]:
     return pulled(fits, alpha=alpha) + words
 
 
-def _captures(case: Case) -> tuple[str, ...]:
+def _captures(case: Investigation) -> tuple[str, ...]:
     """What the named effects were fitted to, as model files state it."""
     campaign = case.prepared.campaign
     return tuple(captures_of(campaign.name, session) for session in campaign.sessions)
@@ -115,7 +117,7 @@ def _confirm(held: Prepared, models: Sequence[CameraModel]) -> dict[str, Any]:
     return {"chi2": costs, "gain": costs[0] - costs[-1], "metrics": int(held.problem.keep.size)}
 
 
-def _verdict(case: Case, leftovers: Sequence[Finding], excess: Sequence[str], confirm: Mapping[str, Any]) -> str:
+def _verdict(case: Investigation, leftovers: Sequence[Finding], excess: Sequence[str], confirm: Mapping[str, Any]) -> str:
     left = bool(leftovers or excess)
     if not case.named:
         return "unexplained" if left else "consistent"

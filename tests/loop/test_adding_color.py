@@ -10,7 +10,7 @@ from isetval.app.cli import main
 from isetval.core.errors import InputError
 from isetval.core.scene import read_spectra
 from isetval.core.toml import data_folder
-from isetval.loop.adding_color import save_spectral_qe
+from isetval.loop.model_update_color import save_spectral_qe
 from isetval.measure.color import spectral_qe
 
 CAMERA = data_folder() / "pixel4a" / "camera.toml"
@@ -72,7 +72,7 @@ def test_what_a_result_does_not_tell_is_refused(fitted, tmp_path):
     content = json.loads(fitted[0].read_text())
     broken = tmp_path / "broken.json"
     broken.write_text(json.dumps({k: v for k, v in content.items() if k != "matrix"}))
-    from isetval.loop.adding import from_result
+    from isetval.loop.model_update import from_result
 
     with pytest.raises(InputError, match="not of read_noise"):
         from_result("read_noise", fitted[0])

@@ -10,7 +10,7 @@ from isetval.core.campaign import Campaign
 from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.evidence import log_hessian, refit
 from isetval.loop.fit import fit
-from isetval.loop.investigation import Case
+from isetval.loop.investigation import Investigation
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.replacement import swap
@@ -61,7 +61,7 @@ def case():
         for c, column in zip(chosen, COLUMNS.values(), strict=True)
     }
     prepared = SimpleNamespace(model=model)
-    return Case(prepared, None, problem, fitted, tuple(chosen), signatures, make_frame(fitted))
+    return Investigation(prepared, None, problem, fitted, tuple(chosen), signatures, make_frame(fitted))
 
 
 def isetval_data():
@@ -88,8 +88,8 @@ def name(case, candidate):
     }
     best = refits.pop(candidate)
     case.named.append(best)
-    case.beaten.append(tuple(refits.values()))
-    case.classes.append(())
+    case.runners_up.append(tuple(refits.values()))
+    case.equivalent.append(())
     case.rivals.append(())
     case.named_posteriors.append((0.9, 0.9, 0.9))
     case.fitted = best.fitted

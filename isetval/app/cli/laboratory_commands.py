@@ -102,7 +102,7 @@ def challenge_reveal(args: argparse.Namespace, console: Console) -> Outcome:
     """Check the truth file against the commitment, print it, and score a diagnosis."""
     from isetval.app.challenge import reveal_challenge
     from isetval.core.cache import file_hash
-    from isetval.loop.adding import read_result
+    from isetval.loop.model_update import read_result
 
     truth = args.truth or Path(f"{str(args.folder).rstrip('/')}.truth.json")
     answer = read_result(args.diagnosis) if args.diagnosis else None

@@ -206,7 +206,7 @@ def add(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
     from isetval.core.cache import file_hash
     from isetval.core.errors import InputError
-    from isetval.loop.adding import add_effect, from_result, from_settings
+    from isetval.loop.model_update import add_effect, from_result, from_settings
 
     if args.output is None:
         raise InputError("add needs -o MODEL2: the model file to write")

@@ -17,7 +17,7 @@ from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.toml import PACKAGE_PREFIX
 from isetval.core.writing import write_whole
-from isetval.loop.adding_color import KIND, spectral_qe_values
+from isetval.loop.model_update_color import KIND, spectral_qe_values
 
 
 @dataclass(frozen=True, eq=False)
