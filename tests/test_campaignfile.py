@@ -190,11 +190,18 @@ def test_examples_of_the_readme_are_read(tmp_path):
     from pathlib import Path
 
     readme = (Path(__file__).resolve().parent.parent / "README.md").read_text()
-    camera, campaign, curve, limits = re.findall(r"```toml\n(.*?)```", readme, re.S)
+    camera, lens, campaign, curve, limits = re.findall(r"```toml\n(.*?)```", readme, re.S)
     shutil.copy(data_folder() / "pixel4a" / "qe.csv", tmp_path / "qe.csv")
     (tmp_path / "camera.toml").write_text(camera)
     model = isetval.load_model(tmp_path / "camera.toml")
     assert model.effect("read_noise").fitted_to == ("lab-2026-03",)
+    parts = re.split(r"(?=\[\[effect\]\])", camera)
+    first, second = re.split(r"(?=\[\[effect\]\])", lens)[1:]
+    replaced = re.compile(r'name = "(aperture|cos4|diffraction|defocus)"')
+    shutil.copy(data_folder() / "lens" / "default_lens.json", tmp_path / "lens.json")
+    rest = [p + second * ('"quantum_efficiency"' in p) for p in parts[1:] if not replaced.search(p)]
+    (tmp_path / "lens.toml").write_text("".join([parts[0], first, *rest]))
+    assert isetval.load_model(tmp_path / "lens.toml").effect("ray_transfer").light_factor == 3.96
     (tmp_path / "spectra.csv").write_text("wavelength_nm,sphere\n400,0.001\n700,0.002\n")
     (tmp_path / "chart.csv").write_text("wavelength_nm,white\n400,0.9\n700,0.9\n")
     for name in tomllib.loads(campaign)["shot"]:
