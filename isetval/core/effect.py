@@ -92,8 +92,9 @@ class Effect:
     so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
     distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
-    one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays.  With every
-    parameter at its null it must be the identity, unless it gives another unit than it acts on.
+    one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays.  ``forms``
+    are the shapes that it may have, by field: a diagnosis weighs them, and shape parameters with a ``tau``, once it is
+    named.  With every parameter at its null it must be the identity, unless it gives another unit than it acts on.
     """
 
     name: ClassVar[str] = ""
@@ -112,6 +113,7 @@ class Effect:
     makes_mosaic: ClassVar[bool] = False
     must_not_change: ClassVar[tuple[str, ...]] = ()
     uses_mean_irradiance: ClassVar[bool] = False
+    forms: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False
 

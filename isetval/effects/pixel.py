@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +137,7 @@ class PixelAngularResponse(Effect):
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); forms are conventions"
     must_not_change = ("dark",)
     needs_chief_ray = True
+    forms: ClassVar[Mapping[str, tuple[str, ...]]] = {"form": FORMS}
 
     m_red: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of red at 30 degrees")
     m_green: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of green at 30 degrees")

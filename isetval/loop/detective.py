@@ -14,6 +14,7 @@ from isetval.core.campaign import Campaign
 from isetval.loop.candidates import Candidate, aligned, candidates_for, signatures
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Refit, class_posterior, log_hessian, posteriors, refit, smallest_detectable
 from isetval.loop.fit import far_values
+from isetval.loop.forms import has_forms, in_best_form
 from isetval.loop.investigation import Investigation, confirmed, holds, rebase, second_session
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
@@ -124,9 +125,10 @@ def _investigate(case: Investigation, say: Say) -> list[Finding]:
             break
         passing.sort(key=lambda c: _strength(scores[c.name]), reverse=True)
         best = _strength(scores[passing[0].name])
-        short = [c for c in passing[:SHORT_LIST] if _strength(scores[c.name]) > WORTH_A_REFIT * best - 20]
+        likely = [c for c in passing if _strength(scores[c.name]) > WORTH_A_REFIT * best - 20]
+        short = likely[:SHORT_LIST] + [c for c in likely[SHORT_LIST:] if has_forms(c)]  # the score is of one form only
         say("refitting " + ", ".join(c.name for c in short))
-        refits = [_refit(case, c, scores[c.name]) for c in short]
+        refits = [in_best_form(case, _refit(case, c, scores[c.name]), say) for c in short]
         refits.sort(key=lambda r: r.log_evidence, reverse=True)
         p = _corrected(scores[refits[0].candidate.name], len(tested))
         if not (holds(case, refits[0], len(tested), say) if turn else confirmed(case, refits[0], p, len(tested), say)):

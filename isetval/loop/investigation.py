@@ -14,7 +14,7 @@ from isetval.loop.fit import Fit, far_values, fit
 from isetval.loop.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
-from isetval.loop.result import CandidateRow
+from isetval.loop.result import CandidateRow, FormRow
 from isetval.loop.score_test import Frame, make_frame
 from isetval.loop.unknown import SURE, Second
 
@@ -44,6 +44,7 @@ class Investigation:
     rows: list[CandidateRow] = field(default_factory=list)
     unobservable: tuple[str, ...] = ()
     remarks: list[str] = field(default_factory=list)
+    forms: dict[str, tuple[FormRow, ...]] = field(default_factory=dict)
 
 
 def second_session(case: Investigation) -> Second | None:

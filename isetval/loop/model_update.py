@@ -76,7 +76,7 @@ def from_diagnosis(effect: str, path: Path | str) -> NewValues:
     parameters = named[effect]["parameters"]
     return NewValues(
         effect,
-        {name: p["value"] for name, p in parameters.items()},
+        {name: p["value"] for name, p in parameters.items()} | dict(named[effect].get("choices") or {}),
         {name: p["sigma"] for name, p in parameters.items()},
         source=f"diagnosed from the campaign {result.get('campaign', '(unnamed)')}",
         fitted_to=tuple(map(str, named[effect].get("fitted_to") or [result.get("campaign", "diagnosis")])),

@@ -14,8 +14,10 @@ from isetval.camera.model import CameraModel
 from isetval.camera.shooting import check_sensor
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
+from isetval.core.given import row_words
 from isetval.core.metric import MetricTable
 from isetval.loop.fit import Fit, far_values, fit, jacobian, nuisance_parameters
+from isetval.loop.given_side import given_rows
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.problem import Problem, make_problem
 from isetval.measure.campaign import measure_campaign
@@ -109,7 +111,22 @@ def prepare(
     campaign = _without_broken(campaign)
     predictor = Predictor(campaign, table, jobs=jobs)
     say(f"simulating the plan with {model.name}")
-    return Prepared(model, campaign, table, make_problem(predictor, Point(model)))
+    problem = make_problem(predictor, Point(model))
+    table = replace(table, notes=(*table.notes, *_without_counterpart(problem)))
+    return Prepared(model, campaign, table, problem)
+
+
+def _without_counterpart(problem: Problem) -> list[str]:
+    """A remark on rows of metrics files that the simulation gives no number for."""
+    table = problem.predictor.table
+    kept = set(problem.keep.tolist())
+    lost = [table.metrics[i] for i in np.flatnonzero(given_rows(table)) if i not in kept]
+    if not lost:
+        return []
+    return [
+        f"{len(lost)} given rows have no counterpart in the simulation and are left out, the first: {row_words(lost[0])} of shot "
+        f"{lost[0].shot} (check its channel, exposure, window and target)"
+    ]
 
 
 def _without_broken(campaign: Campaign) -> Campaign:

@@ -29,10 +29,20 @@ class NamedParameter:
 
 
 @dataclass(frozen=True, eq=False)
+class FormRow:
+    """A form of a named effect, the parameters that were free in it, and ln(Z_form / Z_0) of its joint fit."""
+
+    form: str
+    free: tuple[str, ...]
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
 class NamedEffect:
     """An effect that the data ask for, with those that would explain them as well.
 
-    ``posterior`` is of the class; ``posterior_range`` for prior widths three times narrower to wider.
+    ``posterior`` is of the class; ``posterior_range`` for prior widths three times narrower to wider.  ``forms`` weighs
+    the shapes that the effect may have, the chosen one first (empty: it has one).
     """
 
     name: str
@@ -43,6 +53,7 @@ class NamedEffect:
     effect: Effect
     present: bool
     dchi2: float
+    forms: tuple[FormRow, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,5 +138,7 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         "equivalent": list(effect.equivalent),
         "present_in_model": effect.present,
         "dchi2": effect.dchi2,
+        "choices": {name: getattr(effect.effect, name) for name in effect.effect.forms},
+        "forms": [vars(row) | {"free": list(row.free)} for row in effect.forms],
         "fitted_to": list(effect.effect.fitted_to),
     }

@@ -87,7 +87,17 @@ def _model_with(case: Investigation) -> tuple[CameraModel, list[NamedEffect]]:
             for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
         }
         effects.append(
-            NamedEffect(candidate.name, parameters, chance[0], chance[1:], others, effect, candidate.present, best.dchi2)
+            NamedEffect(
+                candidate.name,
+                parameters,
+                chance[0],
+                chance[1:],
+                others,
+                effect,
+                candidate.present,
+                best.dchi2,
+                case.forms.get(candidate.name, ()),
+            )
         )
     if effects:
         model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))

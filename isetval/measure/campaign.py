@@ -12,6 +12,7 @@ from typing import Any
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
+from isetval.core.given import row_words
 from isetval.core.metric import Block, MetricTable
 from isetval.measure.given import given_block, same_rows
 from isetval.measure.shot_summaries import shot_summaries
@@ -86,6 +87,10 @@ def measure_campaign(
                 blocks.append(block)
                 if block.choices:
                     made[f"{shot.name}/{name}"] = dict(block.choices)
+            repeated = _drop_repeated(blocks, given)
+            if repeated:
+                notes += repeated
+                made.pop(f"{shot.name}/given")
             if summaries:
                 about += shot_summaries(shot, captures, notes, patches=patches)
             if summaries and wanted(shot):
@@ -123,6 +128,20 @@ def _listed(shot: Shot, notes: list[str], *, alone: bool) -> Block:
     except InputError as error:
         notes.append(f"shot {shot.name}: its metrics are left out: {error}")
         return Block(())
+
+
+def _drop_repeated(blocks: list[Block], given: Block) -> list[str]:
+    """Take given rows out that the shot's own captures are measured for as well; says so."""
+    measured = {m.key() for block in blocks if block is not given for m in block.metrics}
+    repeated = {m.key() for m in given.metrics} & measured
+    if not repeated:
+        return []
+    blocks[:] = [block for block in blocks if block is not given]
+    first = next(m for m in given.metrics if m.key() in repeated)
+    return [
+        f"shot {first.shot}: its metrics file is left out: it gives {row_words(first)}, which its captures are measured for too; "
+        "put the file into a shot of its own"
+    ]
 
 
 def _why_none(campaign: Campaign, shot: Shot) -> str:

@@ -208,3 +208,24 @@ def test_ratio_of_two_colours_of_a_patch(camera, tmp_path):
     found = isetval.compare(camera, campaign).table.set_index("name")
     assert found.loc["patch_ratio"].simulated == pytest.approx(ratio, rel=0.01)
     assert found.loc["patch_mean"].simulated == pytest.approx(box[0::2, 0::2].mean(), rel=0.01)
+
+
+def test_rows_beside_captures_that_measure_the_same_are_left_out_in_words(camera, tmp_path):
+    (tmp_path / "t.csv").write_text("name,value,sigma,channel\nmean,100,1,R\n")
+    shot = Shot("flat", "flat", light="even", exposure=Exposure(0.002), frames=2, window=Window(1488, 1992, 32, 32))
+    taken = isetval.simulate(camera, Campaign("c", (shot,), lights={"even": Light("even", Spectrum.flat(0.01))}))
+    given = read_metrics(tmp_path, "t.csv", camera.sensor, Reading())
+    table = isetval.measure_campaign(replace(taken, shots=(replace(shot, given=given),)), summaries=False)
+    assert sum(m.name == "mean" and m.channel == "R" for m in table.metrics) == 1
+    assert any("put the file into a shot of its own" in note for note in table.notes)
+
+
+def test_rows_without_a_counterpart_are_told(camera, tmp_path):
+    (tmp_path / "t.csv").write_text("name,value,sigma,channel\nmean,100,1,R\nmean,100,1,X\n")
+    given = read_metrics(tmp_path, "t.csv", camera.sensor, Reading())
+    window = Window(1488, 1992, 32, 32)
+    shot = Shot("flat", "flat", light="even", exposure=Exposure(0.002), frames=2, window=window, given=given)
+    campaign = Campaign("c", (shot,), lights={"even": Light("even", Spectrum.flat(0.01))}, sensor=camera.sensor)
+    found = isetval.compare(camera, campaign)
+    assert len(found.table) == 1
+    assert any("1 given rows have no counterpart" in note and "mean X of shot flat" in note for note in found.notes)

@@ -120,6 +120,7 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
         low, high = effect.get("posterior_range", (effect["posterior"],) * 2)
         scan = f" ({low:.2f} to {high:.2f} with prior widths 3 times wider or narrower)" if high - low > 0.01 else ""
         lines.append(f"    posterior {effect['posterior']:.3f}{scan}{also}")
+        lines += _form_lines(effect)
     if result["leftover"]:
         lines.append(f"  left over: {result['leftover']}")
     lines += _candidate_lines(result["candidates"])
@@ -144,6 +145,17 @@ def _candidate_lines(candidates: Sequence[Mapping[str, Any]], count: int = 8) ->
         body.append((c["name"], estimate, f"{c['dchi2']:.1f}", f"{c['p_corrected']:.2g}", posterior))
     header = ("candidate", "one-step estimate", "dchi2", "p (look-elsewhere)", "posterior")
     return ["", f"# suspects (of {len(seen)} observable candidates)", *text_table(header, body)]
+
+
+def _form_lines(effect: Mapping[str, Any]) -> list[str]:
+    """The form that was chosen, and by how much the others are less likely."""
+    forms = effect.get("forms") or []
+    if not forms:
+        return []
+    named = [f["form"] + (f" with {f['free'][-1]}" if len(f["free"]) > min(len(o["free"]) for o in forms) else "") for f in forms]
+    behind = [f["log_evidence"] - forms[0]["log_evidence"] for f in forms]
+    others = ", ".join(f"{name} {by:+.1f}" for name, by in zip(named[1:], behind[1:], strict=True))
+    return [f"    form: {named[0]}; ln evidence of others against it: {others}"]
 
 
 def demo_lines(result: Mapping[str, Any]) -> list[str]:

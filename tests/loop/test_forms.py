@@ -1,0 +1,72 @@
+"""The form of a named effect: which are weighed, and that the planted one is found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.camera.chain import ShotSetup
+from isetval.camera.model_file import make_effect
+from isetval.core.campaign import Light, Shot
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
+from isetval.files.metric_file import Reading
+from isetval.loop.candidates import candidates_for
+from isetval.loop.curve_campaign import curve_campaign
+from isetval.loop.forms import _variants
+from isetval.loop.given_side import in_large_pixels, shoot
+from isetval.measure.analyses.full_field import ring_means
+
+RADII_MM = np.arange(0.15, 3.41, 0.15)
+LOSS = 0.15
+
+
+@pytest.fixture(scope="module")
+def camera():
+    """The phone's sensor behind the embedded lens."""
+    nominal = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    kept = tuple(e for e in nominal.effects if e.name not in ("aperture", "diffraction", "cos4"))
+    lens = make_effect("ray_transfer", {"file": "isetval:lens/default_lens.json"}, "test")
+    return replace(nominal, name="phone", effects=(lens, *kept))
+
+
+def test_forms_and_shapes_of_a_candidate_are_weighed(camera):
+    found = {c.name: list(_variants(c)) for c in candidates_for(camera)}
+    assert [v.effect.form for v in found["pixel_angular_response"]] == ["sin2"]
+    assert found["vignetting"] == []  # its onset has no prior: it is not freed
+
+
+def seen_through(model) -> np.ndarray:
+    """The fall-off of a model, on its true pixels' light."""
+
+    class Rows:
+        metrics = ()
+
+    light = Light("even", Spectrum.flat(0.01))
+    choices = {"a/given": {"alone": True, "wanted": Rows}}
+    shot = Shot("a", "flat", light="even", exposure=Exposure(1e-4), window=(0, 0, model.sensor.rows, model.sensor.cols))
+    camera, setup = in_large_pixels(model, ShotSetup(shot, light), choices)
+    (capture,) = shoot(camera, setup, 0, mode="expected", choices=choices)
+    return ring_means(capture, "Gr", RADII_MM)
+
+
+@pytest.mark.slow
+def test_planted_angular_loss_is_named_with_its_forms(camera, tmp_path):
+    truth = camera.with_effect(make_effect("pixel_angular_response", {"m_green": LOSS}, "test"))
+    sigma = 0.002
+    values = seen_through(truth) + sigma * np.random.default_rng(8).standard_normal(RADII_MM.size)
+    rows = "".join(f"{r},{v}\n" for r, v in zip(RADII_MM, values, strict=True))
+    (tmp_path / "ri.csv").write_text("radius_mm,value\n" + rows)
+    how = Reading(sigma=sigma, correlation_length=0.01)
+    campaign = curve_campaign(camera, tmp_path / "ri.csv", name="relative_illumination", how=how)
+    found = isetval.diagnose(camera, campaign, jobs=2, with_next_captures=False)
+    assert [e.name for e in found.effects] == ["pixel_angular_response"]
+    (effect,) = found.effects
+    loss = effect.parameters["m_green"]
+    assert abs(loss.value - LOSS) < 3 * loss.sigma
+    planted = next(row for row in effect.forms if row.form == "gaussian")
+    # nearly proportional chief rays: no form is told from the planted one by strong evidence
+    assert planted.log_evidence > max(row.log_evidence for row in effect.forms) - 3
+    assert found.leftover is None
