@@ -18,6 +18,14 @@ VERDICT_WORDS = {
 }
 
 
+def verdict_words(diagnosis: Mapping[str, Any]) -> str:
+    """The verdict of a diagnosis in words."""
+    verdict, named = diagnosis["verdict"], len(diagnosis["effects"])
+    if verdict == "attributed" and named > 1:
+        return f"the captures ask for {named} effects"
+    return VERDICT_WORDS[verdict]
+
+
 def with_sigma(value: float | None, sigma: float | None, unit: str = "", *, sign: str = "+-") -> str:
     """A value and its standard deviation, with two digits of the latter: ``12.34 +- 0.56 DN``."""
     tail = f" {unit}" if unit and unit != "1" else ""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from isetval.app.cli.tables import text_table
-from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, state_of, with_sigma
+from isetval.app.words import effect_words, relative_words, state_of, verdict_words, with_sigma
 
 FITTED = {
     "prediction": "nothing was fitted to these captures",
@@ -113,7 +113,7 @@ def next_lines(captures: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = None) -> list[str]:
     """Verdict, named effects, table of candidates, what is left, what next, the ladder."""
-    lines = [gate_line(result["gate"]), "", f"# verdict: {result['verdict']} - {VERDICT_WORDS[result['verdict']]}"]
+    lines = [gate_line(result["gate"]), "", f"# verdict: {result['verdict']} - {verdict_words(result)}"]
     for effect in result["effects"]:
         lines.append(f"  {effect_words(effect)}")
         also = f"; these captures cannot tell it from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
@@ -161,7 +161,7 @@ def _form_lines(effect: Mapping[str, Any]) -> list[str]:
 def demo_lines(result: Mapping[str, Any]) -> list[str]:
     """The end of the demo in words: before, verdict, ladder, reveal, report."""
     diagnosis, hidden = result["diagnosis"], result["hidden"]
-    lines = ["", f"# verdict: {diagnosis['verdict']} - {VERDICT_WORDS[diagnosis['verdict']]}"]
+    lines = ["", f"# verdict: {diagnosis['verdict']} - {verdict_words(diagnosis)}"]
     for effect in diagnosis["effects"]:
         also = f"; not to be told from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
         lines.append(f"  {effect_words(effect)} (posterior {effect['posterior']:.2f}{also})")

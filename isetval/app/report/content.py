@@ -8,7 +8,7 @@ from typing import Any
 
 from isetval.app.report import charts
 from isetval.app.report.family_plots import family_plot
-from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, shortfall_words, state_of, with_sigma
+from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, shortfall_words, state_of, verdict_words, with_sigma
 
 Row = Mapping[str, Any]
 SYMBOL = {"agrees": "✓", "doubtful": "?", "fails": "✗", "unknown": "–"}
@@ -110,7 +110,7 @@ def _headline(diagnosis: Mapping[str, Any] | None, models: Sequence[str], column
             if said
             else f"{VERDICT_WORDS[verdict][:1].upper()}{VERDICT_WORDS[verdict][1:]}."
         )
-        return {"text": text, "tone": TONE[verdict], "more": f"Verdict {verdict}: {VERDICT_WORDS[verdict]}."}
+        return {"text": text, "tone": TONE[verdict], "more": f"Verdict {verdict}: {verdict_words(diagnosis)}."}
     if columns and "all" in columns[-1]:
         row = columns[-1]["all"]
         state = state_of(row["mean_square_z"], row["n"])
