@@ -265,7 +265,11 @@ def trimmed_temporal(moments: Moments, clean: Moments) -> Quantity:
 
 
 def _correlation(names: list[str], quantities: Mapping[str, Quantity], fixed: Float, frames: int) -> Float:
-    """Sampling correlation: fixed parts among themselves, and with the temporal variances they lose 1 / F of."""
+    """Sampling correlation: fixed parts among themselves, and with the temporal variance they lose V / F of.
+
+    That of fixed rows with the row noise whose residue they lose is left out: it nears -1 where row noise is weak, and with
+    weights of another strength of noise (a hidden read noise) such a direction decided the diagnosis wrongly.
+    """
     out = np.eye(len(names))
     parts = [names.index(f"fixed_{part}_variance_dn2") for part in ("row", "column", "pixel")]
     for i, a in enumerate(parts):
@@ -280,11 +284,6 @@ def _correlation(names: list[str], quantities: Mapping[str, Quantity], fixed: Fl
         for k, value in ((t, r), (u, r * same)):
             out[k, parts[2]] = out[parts[2], k] = value
         out[t, u] = out[u, t] = same
-        lines, row = quantities["row_temporal_variance_dn2"], quantities["fixed_row_variance_dn2"]
-        k = names.index("row_temporal_variance_dn2")
-        if row.sigma > 0:
-            # the residue of row noise is taken off the fixed rows
-            out[k, parts[0]] = out[parts[0], k] = -min(lines.sigma / frames / row.sigma, 0.95)
     return out
 
 
