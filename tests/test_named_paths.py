@@ -143,3 +143,18 @@ def test_text_of_tags_stays_text(tmp_path):
     assert "gotcha" not in {n["parameter"] for n in plain.get("nuisance", [])}
     assert plain["shot"][0]["files"] == ['a "b"\x7f.dng']
     assert json.dumps(plain)
+
+
+def test_two_scene_files_of_one_name_are_both_kept(tmp_path):
+    sensor = isetval.load_model(CAMERA).sensor
+    shots = []
+    for name, height in (("near", 0.5), ("far", 0.9), ("again", 0.9)):
+        folder = tmp_path / ("far" if name == "again" else name)
+        folder.mkdir(exist_ok=True)
+        (folder / "box.toml").write_text(f'kind = "cornell_box"\n[camera.c]\nz_m = {height}\n')
+        spec = tomllib.loads((folder / "box.toml").read_text()) | {"file": str(folder / "box.toml")}
+        shots.append(Shot(name, "scene", window=(0, 0, 32, 32), target=RenderedTarget(name, spec)))
+    made = write_campaign(Campaign("c", tuple(shots), sensor=sensor), tmp_path / "made")
+    heights = [shot.target.spec["camera"]["c"]["z_m"] for shot in isetval.load_campaign(made).shots]
+    assert heights == [0.5, 0.9, 0.9]
+    assert {p.parent.name for p in made.rglob("box.toml")} == {"scenes", "scenes_2"}

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from isetval.core.cache import file_hash
 from isetval.core.campaign import Light, Nuisance, Shot
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target
 from isetval.core.toml import PACKAGE_PREFIX, inside, named_path, read_toml
@@ -200,10 +202,21 @@ def _scene_file(target: RenderedTarget, spectra: Spectra) -> str:
     named = named_path(source, spectra.folder)
     if named.startswith(PACKAGE_PREFIX):
         return named
-    folder = spectra.folder / "scenes"
-    folder.mkdir(exist_ok=True)
-    for name in (source.name, *files_beside(read_toml(source))):
+    names = (source.name, *files_beside(read_toml(source)))
+    folder = _folder_for(spectra.folder, source.parent, names)
+    for name in names:
         copy = inside(folder, name)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(inside(source.parent, name), copy)
-    return f"scenes/{source.name}"
+    return f"{folder.name}/{source.name}"
+
+
+def _folder_for(campaign: Path, source: Path, names: Sequence[str]) -> Path:
+    """The first of ``scenes``, ``scenes_2`` ... in which no file of another scene would be overwritten."""
+    for number in itertools.count(1):
+        folder = campaign / ("scenes" if number == 1 else f"scenes_{number}")
+        taken = [name for name in names if inside(folder, name).exists()]
+        if all(file_hash(inside(folder, name)) == file_hash(inside(source, name)) for name in taken):
+            break
+    folder.mkdir(exist_ok=True)
+    return folder
