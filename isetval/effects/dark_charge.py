@@ -1,4 +1,4 @@
-"""Charge that no light made: dark current, its drift, glow and hot pixels.  In front of shot_noise."""
+"""Charge that no light made: dark current, its drift, glow, hot pixels and particles."""
 
 from __future__ import annotations
 
@@ -115,4 +115,42 @@ class HotPixels(Effect):
         chosen, chance = rare_pixels(context, self.fraction)
         values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
         values[0][chosen] -= (charge * np.log(chance)).astype(values.dtype)
+        return signal.with_values(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransientHits(Effect):
+    """Particles that pass the sensor: single pixels with much charge, elsewhere in every frame.
+
+    Outliers that do not stay: hot_pixels keep their places and grow with time, rts pixels keep theirs.  Their number grows
+    with time and pixel area; short exposures of small sensors on the ground hold none.
+    """
+
+    name = "transient_hits"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    random = "frame"
+    rare = True
+    step_share = 0.5  # a few hits more or less: only far steps count enough
+    order = 32.0
+    equation = "N + charge x (exponential number of mean 1) in rate x t pixels of a million, chosen anew in every frame"
+    reference = "Groom, Experimental Astronomy 14 (2002) 45 (cosmic rays and other nonsense in CCD images)"
+
+    rate_per_mpx_s: float = parameter(
+        0.0, unit="1/(Mpx s)", low=0.0, high=1e6, tau=20.0, doc="hits per second and million pixels"
+    )
+    charge_e: float = parameter(1000.0, unit="e-", low=0.0, high=1e6, shape=True, doc="mean charge of a hit")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add this frame's hits, or their mean to the expectation."""
+        share = min(self.rate_per_mpx_s * 1e-6 * context.time_s(), 1.0)
+        if not (share and self.charge_e):
+            return signal
+        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        if context.mode == "expected":
+            return signal.with_values(values + values.dtype.type(share * self.charge_e))
+        chance = context.rng("frame").random(context.window[2:])
+        hit = chance < share
+        values[0][hit] -= (self.charge_e * np.log(np.maximum(chance[hit] / share, 1e-300))).astype(values.dtype)
         return signal.with_values(values)

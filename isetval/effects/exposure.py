@@ -1,8 +1,10 @@
-"""Errors of the exposure: its time, and light that is not steady between frames.  Act on the mosaic's electrons."""
+"""Errors of the exposure: its time, and light that is not steady between frames or rows.  Act on the mosaic's electrons."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+import numpy as np
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
@@ -64,3 +66,38 @@ class Flicker(Effect):
             return signal
         factor = max(0.0, 1 + self.sigma * float(context.frame_rng().standard_normal()))
         return signal.with_values(signal.values * factor)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RollingFlicker(Effect):
+    """A lamp that follows the mains under a rolling shutter: bands along the rows, at another place in every frame.
+
+    Each row sees the light of its own time.  An exposure of whole periods of the light removes it, as does a global shutter
+    or a lamp on direct current.  Imitated by temporal_row_noise, which darks show too and which does not grow with the light.
+    Leaves darks alone.
+    """
+
+    name = "rolling_flicker"
+    stage = "exposure"
+    acts_on = "electron"
+    gives = "electron"
+    random = "frame"
+    order = 22.0
+    equation = "mu x (1 + m sinc(f t) cos(2 pi f row t_row + phi)), sinc(x) = sin(pi x)/(pi x), phi one number per frame"
+    reference = "Sheinin, Schechner & Kutulakos, CVPR 2017 (flicker of lamps under rolling shutters); first harmonic"
+    must_not_change = ("dark",)
+
+    depth: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.02, doc="depth m of the light's modulation")
+    frequency_hz: float = parameter(100.0, unit="Hz", low=0.1, high=1e5, shape=True, doc="frequency f: twice that of the mains")
+    row_time_us: float = parameter(10.0, unit="us", low=0.01, high=1e4, shape=True, doc="time t_row from one row to the next")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale each row by the light of its time; 1 in the expectation."""
+        depth = self.depth * float(np.sinc(self.frequency_hz * context.time_s()))
+        if not depth or context.mode == "expected":
+            return signal
+        row0, _, rows, _ = context.window
+        turns = self.frequency_hz * self.row_time_us * 1e-6 * np.arange(row0, row0 + rows) + context.frame_rng().random()
+        factor = 1 + depth * np.cos(2 * np.pi * turns)
+        values = signal.values
+        return signal.with_values(values * factor[None, :, None].astype(values.dtype))

@@ -86,9 +86,10 @@ class ChargeDiffusion(Effect):
 class Microlens(Effect):
     """Loss at the microlens that grows with the chief-ray angle; may differ between channels.
 
-    Even over the field.  The part common to all channels has the shape of cos^4 (rho .998); the
-    channel ratios R/G(r) and B/G(r) are its own.  Acts on the electrons of each colour channel (a
-    monochrome sensor uses ``m_green``), so it stands behind quantum_efficiency and before cfa.
+    Even over the field.  The part common to all channels has the shape of cos^4 (rho .998); the channel ratios R/G(r) and
+    B/G(r) are its own.  One color may gain towards the corner, where light that another filter's pixels lose arrives: its
+    loss is negative.  Acts on the electrons of each colour channel (a monochrome sensor uses ``m_green``), so it stands
+    behind quantum_efficiency and before cfa.
     """
 
     name = "microlens"
@@ -100,9 +101,9 @@ class Microlens(Effect):
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); second-order term"
     must_not_change = ("dark",)
 
-    m_red: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.15, doc="loss of red at the corner")
-    m_green: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.15, doc="loss of green at the corner")
-    m_blue: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.15, doc="loss of blue at the corner")
+    m_red: float = parameter(0.0, unit="1", low=-1.0, high=1.0, tau=0.15, doc="loss of red at the corner (gain < 0)")
+    m_green: float = parameter(0.0, unit="1", low=-1.0, high=1.0, tau=0.15, doc="loss of green at the corner (gain < 0)")
+    m_blue: float = parameter(0.0, unit="1", low=-1.0, high=1.0, tau=0.15, doc="loss of blue at the corner (gain < 0)")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale each colour channel."""

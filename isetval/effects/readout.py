@@ -193,3 +193,75 @@ class ColumnFpn(Effect):
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add the column offsets."""
         return _with_pattern(signal, context.fixed_lines("column"), self.sigma_dn) if self.sigma_dn else signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedRowNoise(Effect):
+    """Row noise whose neighbors go together: the slow wandering (1/f) of a supply or reference while rows are read.
+
+    New in every frame.  In the variance of row means it cannot be told from temporal_row_noise, whose rows are independent
+    (so it is no candidate of the diagnosis); its own entry for models that state it.  Sensors with a reference of their own in
+    every column or with optical-black correction of each row have little of it.
+    """
+
+    name = "correlated_row_noise"
+    stage = "electronics"
+    acts_on = "dn"
+    gives = "dn"
+    random = "frame"
+    order = 72.5
+    candidate = False
+    equation = "DN + sigma z(row, frame), power spectrum of z along the rows prop. 1/f^beta, variance 1 over the sensor"
+    reference = "Tian & El Gamal, IEEE Trans. Circuits Syst. II 48 (2001) 151 (1/f noise in switched circuits)"
+
+    sigma_dn: float = parameter(0.0, unit="DN", low=0.0, high=1000.0, tau=0.2, doc="standard deviation sigma over all rows")
+    exponent: float = parameter(1.0, unit="1", low=0.0, high=3.0, shape=True, doc="exponent beta of the spectrum (0: white)")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add this frame's row offsets; nothing in the expectation."""
+        if not self.sigma_dn or context.mode == "expected":
+            return signal
+        row0, _, rows, _ = context.window
+        lines = pink(context.frame_rng().standard_normal(context.sensor.rows), self.exponent)
+        return _with_pattern(signal, lines[row0 : row0 + rows, None], self.sigma_dn)
+
+
+def pink(white: Array, exponent: float) -> Array:
+    """Independent unit normals (n,) given a power spectrum prop. 1/f^exponent, no mean, and variance 1."""
+    amplitude = np.zeros(white.size // 2 + 1)
+    amplitude[1:] = np.arange(1, amplitude.size) ** (-exponent / 2)
+    both_sides = np.concatenate([amplitude, amplitude[1 : (white.size + 1) // 2]])
+    return np.fft.irfft(np.fft.rfft(white) * amplitude / np.sqrt(np.mean(both_sides**2)), white.size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlternatingColumns(Effect):
+    """Columns read by two converters in turn, which differ in gain and offset: a fixed pattern of period ``period_px``.
+
+    The gain part grows with the level (column_fpn does not) and is the same for all rows (prnu is not).  On a color mosaic
+    with period 2 it would be a difference of colors; converters there alternate by pairs of columns, period 4.  Sensors
+    with one converter for all columns do not have it.
+    """
+
+    name = "alternating_columns"
+    stage = "electronics"
+    acts_on = "dn"
+    gives = "dn"
+    order = 74.5
+    equation = "DN (1 +- d) +- o, + in the first half of each period of columns, - in the second"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 8 (periodic nonuniformity in spectrograms)"
+
+    gain: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.003, doc="half the relative difference d of both gains")
+    offset_dn: float = parameter(0.0, unit="DN", low=-500.0, high=500.0, tau=0.2, doc="half the difference o of both offsets")
+    period_px: float = parameter(4.0, unit="px", low=2.0, high=4096.0, shape=True, doc="period of the columns (even)")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Scale and shift the columns in turn."""
+        if not (self.gain or self.offset_dn):
+            return signal
+        half = max(1, round(self.period_px / 2))
+        col0, cols = context.window[1], context.window[3]
+        sign = 1 - 2 * ((np.arange(col0, col0 + cols) // half) % 2)
+        values = signal.values
+        out = values * (1 + self.gain * sign).astype(values.dtype) + (self.offset_dn * sign).astype(values.dtype)
+        return signal.with_values(out)

@@ -27,6 +27,10 @@ STRENGTHS = {
     "reset_noise": {"sigma_e": 2.0},
     "black_clip": {"strength": 0.5},
     "exposure_time": {"offset_ms": 0.3, "relative": 0.01},
+    "blooming": {"well_e": 2500.0},
+    "transient_hits": {"rate_per_mpx_s": 1e4},
+    "dust": {"width": 0.2},
+    "rolling_flicker": {"frequency_hz": 95.0},  # the battery exposes 0.1 s, whole periods of 100 Hz
 }
 GUIDE = (
     "defocus diffraction axial_color spherical coma astigmatism field_curvature sensor_tilt decenter cos4 "
@@ -38,6 +42,8 @@ GUIDE = (
     "black_reflectance chart_tilt interreflection gloss ambient_light position_scale etalon_ripple "
     "gain_map_applied wrong_black_tag black_clip digital_gain raw_filtering lens_correction "
     "linearization_table aperture quantum_efficiency cfa shot_noise ray_transfer pixel_angular_response "
+    "interpixel_capacitance correlated_row_noise alternating_columns blooming transient_hits rolling_flicker "
+    "amplifier_crosstalk dust "
 )
 
 

@@ -1,0 +1,130 @@
+"""Charge and signal that reach the wrong pixel behind the light: coupling, blooming, settling.  All act on the mosaic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.context import Context
+from isetval.core.effect import Effect, parameter
+from isetval.core.signal import Signal
+
+Array = NDArray[Any]
+BLOOM_REACH_PX = 12  # pixels along the column that spilled charge is followed: e^-4 of it is left at the longest usual length
+SETTLING_REACH_PX = 16  # largest distance of two pixels that one output reads one after the other
+
+
+def _mosaic(signal: Signal, context: Context) -> Array:
+    """The values as a mosaic (1, rows, cols) of its own."""
+    return np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterpixelCapacitance(Effect):
+    """Coupled sense nodes: a part of each pixel's voltage is seen on its four neighbors.
+
+    Blurs the picture and the noise alike: variance falls and nearest neighbors are positively correlated, both in
+    proportion to the level (brighter_fatter: to its square), and edges lose contrast as with charge_diffusion, which leaves
+    the noise white.  Not in CCDs nor in sensors whose charge is converted at one shared node (many small CMOS pixels):
+    there neighbors share charge, not voltage.  Behind full_well, in front of the read noise.
+    """
+
+    name = "interpixel_capacitance"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 42.0
+    halo_px = 1
+    equation = "N + alpha sum_nb (N_nb - N): Var = mu ((1 - 4 alpha)^2 + 4 alpha^2), Cov(nearest) = 2 alpha (1 - 4 alpha) mu"
+    reference = "Moore, Ninkov & Forrest, Proc. SPIE 5167 (2004) 204 (interpixel capacitance)"
+
+    alpha: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.005, doc="part alpha of a pixel seen on each neighbor")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Share with the four neighbors (none across the border of the window)."""
+        if not self.alpha:
+            return signal
+        charge = _mosaic(signal, context)
+        out = charge.copy()
+        for axis in (1, 2):
+            step = self.alpha * np.diff(charge, axis=axis)
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -1), slice(1, None)
+            out[tuple(low)] += step
+            out[tuple(high)] -= step
+        return signal.with_values(out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blooming(Effect):
+    """Charge above the full well that spills along the column instead of vanishing.
+
+    Bright streaks above and below saturated places; nothing where no pixel is full, and none in sensors with a good
+    anti-blooming drain (most CMOS).  Imitated by glare near lamps, which spreads along both axes.  full_well behind it takes
+    what still lies above.
+    """
+
+    name = "blooming"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    order = 38.0
+    halo_px = BLOOM_REACH_PX
+    equation = "N + b sum_k w_k max(N(row +- k) - W, 0), w_k prop. exp(-k/l), sum of both sides 1"
+    reference = "Janesick, Scientific Charge-Coupled Devices (SPIE 2001), ch. 4 (blooming); exponential is a convention"
+    must_not_change = ("dark",)
+
+    spill: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.2, doc="part b of the excess charge that spills")
+    well_e: float = parameter(6000.0, unit="e-", low=1.0, high=1e9, shape=True, doc="charge W above which it spills")
+    length_px: float = parameter(3.0, unit="px", low=0.1, high=6.0, shape=True, doc="decay length l along the column")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add the spilled charge (none across the border of the window)."""
+        if not self.spill:
+            return signal
+        charge = _mosaic(signal, context)
+        excess = np.maximum(charge - self.well_e, 0)
+        if not excess.any():
+            return signal
+        distance = np.arange(1, BLOOM_REACH_PX + 1)
+        weight = np.exp(-distance / self.length_px)
+        weight *= self.spill / (2 * weight.sum())
+        for k, part in zip(distance, weight.astype(charge.dtype), strict=True):
+            charge[:, k:] += part * excess[:, :-k]
+            charge[:, :-k] += part * excess[:, k:]
+        return signal.with_values(charge)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmplifierCrosstalk(Effect):
+    """An output that still remembers, or hears, the pixel read before: a weak copy of the picture beside itself.
+
+    Blurs across vertical edges to one side only, never across horizontal ones, and correlates the noise along rows.  Sensors
+    that convert every column on its own do not have it.  Imitated by motion blur and lateral color, which leave the noise
+    white.  On a color mosaic the pixel before is that of the same color: ``lag_px`` 2.
+    """
+
+    name = "amplifier_crosstalk"
+    stage = "electronics"
+    acts_on = "dn"
+    gives = "dn"
+    order = 71.0
+    halo_px = SETTLING_REACH_PX
+    equation = "DN(col) + c (DN(col - lag) - DN(col))"
+    reference = "Freyhammer et al., Experimental Astronomy 12 (2001) 147 (cross-talk of read-out ports); first-order settling"
+    must_not_change = ("illumination",)
+
+    share: float = parameter(0.0, unit="1", low=-0.3, high=0.3, tau=0.005, doc="share c of the pixel read before")
+    lag_px: float = parameter(2.0, unit="px", low=1.0, high=SETTLING_REACH_PX, shape=True, doc="columns between both (whole)")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Mix in the pixel read before (none at the window's left border)."""
+        if not self.share:
+            return signal
+        values, lag = _mosaic(signal, context), round(self.lag_px)
+        out = values.copy()
+        out[..., lag:] += self.share * (values[..., :-lag] - values[..., lag:])
+        return signal.with_values(out)
