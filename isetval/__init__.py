@@ -1,6 +1,7 @@
 """isetval: a ruler and a detective for camera models."""
 
 from isetval.core.lazy import lazy_names
+from isetval.core.shown import drawn_by
 from isetval.core.version import VERSION
 
 __version__ = VERSION
@@ -32,4 +33,5 @@ _NAMES = {
     "write_dng": "isetval.files.dng",
 }
 __all__ = sorted(_NAMES)
+drawn_by("isetval.app.plots.drawing")
 __getattr__, __dir__ = lazy_names(__name__, _NAMES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
+from isetval.core.jsonable import plain
+from isetval.core.shown import Drawn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,8 +104,8 @@ class Block:
                 raise InputError(f"shared column {label!r} has shape {loading.shape}; {n} metrics need ({n},)")
 
 
-@dataclass(frozen=True, eq=False)
-class MetricTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class MetricTable(Drawn):
     """All metrics of a campaign: rows, block covariance, columns of shared random numbers.
 
     The covariance of the values is ``block_diag(D_b R_b D_b) + U U^T`` with the blocks' correlation
@@ -115,6 +118,22 @@ class MetricTable:
     choices: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def headline(self) -> str:
+        """How many metrics of what."""
+        metrics = self.metrics
+        families = Counter(m.family for m in metrics)
+        largest = ", ".join(f"{count} {family}" for family, count in families.most_common(4))
+        more = f" and {len(families) - 4} families more" if len(families) > 4 else ""
+        return f"{len(metrics)} metrics of {len({m.shot for m in metrics})} shots: {largest}{more}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Rows, notes and settings."""
+        return {
+            "metrics": plain(self.to_frame().to_dict(orient="records")),
+            "notes": list(self.notes),
+            "settings": plain(self.settings),
+        }
 
     @property
     def metrics(self) -> tuple[Metric, ...]:

@@ -14,6 +14,7 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, Metric
+from isetval.core.shown import Drawn
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import degrees_spent, expected_mean_square, square, whitener
 from isetval.loop.given_side import given_rows
@@ -124,8 +125,8 @@ def _relative_error(problem: Problem, fit: Fit, mask: Mask) -> float:
 NOT_SHOWN = ("value", "sigma", "summary", "count")
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Drawn):
     """Measured against predicted for one or several models, and how well each family fits.
 
     ``table`` has one row per metric and model with measured, simulated, sigma and z (z alone, not
@@ -140,6 +141,17 @@ class Comparison:
     models: tuple[CameraModel, ...]
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def headline(self) -> str:
+        """Mean-square z of every model, and where the first fails most."""
+        whole = ", ".join(f"{row.model} {row.mean_square_z:.3f}" for row in self.ladder if row.family == "all")
+        worst = self.worst[:1]
+        at = f"; worst of {worst[0].model}: {worst[0].family} {worst[0].mean_square_z:.3f}" if worst else ""
+        return f"mean-square z of {len(self.table) // max(len(self.models), 1)} metrics: {whole}{at}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """The table: one row a metric and model with measured, simulated, sigma, unit and z."""
+        return self.table
 
     @property
     def worst(self) -> list[LadderRow]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign
+from isetval.core.shown import Drawn
 from isetval.loop.candidates import candidates_for, signatures
 from isetval.loop.evidence import smallest_detectable
 from isetval.loop.fit import fit, nuisance_parameters
@@ -20,6 +21,9 @@ from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 from isetval.loop.result import NextCapture
 from isetval.loop.score_test import cosine, make_frame, score
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.float64]
 CLOSE = 0.7  # cosine of a pair that is listed: above it half of one's chi2 is explained by the other
@@ -39,14 +43,25 @@ class Detectability:
     observable: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Identifiability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identifiability(Drawn):
     """What a plan can tell: per parameter, per pair (profiled cosine rho), and captures that would help."""
 
     parameters: tuple[Detectability, ...]
     unobservable: tuple[str, ...]
     pairs: tuple[tuple[str, str, float], ...]
     next_captures: tuple[NextCapture, ...]
+
+    def headline(self) -> str:
+        """How many parameters are seen, what is not."""
+        seen, hidden = sum(p.observable for p in self.parameters), len(self.unobservable)
+        return f"{seen} of {len(self.parameters)} parameters seen, {hidden} effects not, {len(self.pairs)} close pairs"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a parameter: effect, parameter, unit, sigma, smallest_detectable, tau, observable."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(p) for p in self.parameters], columns=list(Detectability.__dataclass_fields__))
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers and words."""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from isetval.camera.model import CameraModel
 from isetval.core.effect import Effect
+from isetval.core.shown import Drawn
+from isetval.effects import catalogue
 from isetval.loop.comparison import LadderRow
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VERDICTS = ("consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed")
 
@@ -81,8 +86,8 @@ class NextCapture:
     rho_after: float
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Drawn):
     """The verdict and all that it rests on."""
 
     verdict: str
@@ -98,6 +103,31 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     holdout_gain: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def headline(self) -> str:
+        """The verdict and what it names."""
+        named = "; ".join(f"{e.name} (posterior {e.posterior:.2f})" for e in self.effects)
+        return f"{self.verdict}{': ' if named else ''}{named}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a parameter of every candidate and named effect: effect, parameter, value, sigma, unit, posterior, named."""
+        import pandas as pd
+
+        rows: list[tuple[Any, ...]] = [
+            (e.name, name, p.value, p.sigma, p.unit, None, e.posterior, True)
+            for e in self.effects
+            for name, p in e.parameters.items()
+        ]
+        units = {(cls.name, p.name): p.unit for cls in catalogue().values() for p in cls.parameters()}
+        named = {e.name for e in self.effects}
+        rows += [
+            (c.name, name, value, sigma, units.get((c.name, name), ""), c.p_corrected, c.posterior, False)
+            for c in self.candidates
+            if c.name not in named
+            for name, (value, sigma) in c.estimate.items()
+        ]
+        names = ["effect", "parameter", "value", "sigma", "unit", "p_corrected", "posterior", "named"]
+        return pd.DataFrame(rows, columns=names)
 
     def apply(self) -> CameraModel:
         """The nominal model with the named effects added."""

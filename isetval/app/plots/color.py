@@ -90,18 +90,56 @@ def profile_figure(profile: Any) -> Figure:
 
     figure = Figure(figsize=(9, 6), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
+    plot_profile(profile, top).set_xlabel("")
+    plot_profile_ratios(profile, bottom)
+    return figure
+
+
+def plot_profile(profile: Any, ax: Axes | None = None) -> Axes:
+    """Values along a line with their band of one sigma, of a ``LineProfile``."""
+    axis = own_axes(ax)
     for plane in ("R", "G", "B", "MONO"):
         if plane in profile.value_dn:
             value, sigma = profile.value_dn[plane], profile.sigma_dn[plane]
             color = PLANE_COLORS.get(plane, "tab:green")
-            top.plot(profile.position_um, value, color=color, label=plane)
-            top.fill_between(profile.position_um, value - sigma, value + sigma, color=color, alpha=0.2, lw=0)
+            axis.plot(profile.position_um, value, color=color, label=plane)
+            axis.fill_between(profile.position_um, value - sigma, value + sigma, color=color, alpha=0.2, lw=0)
+    axis.set(xlabel="position (um on the sensor)", ylabel="above black (DN)")
+    return _finished(axis)
+
+
+def plot_profile_ratios(profile: Any, ax: Axes | None = None) -> Axes:
+    """Channel ratios along a line, of a ``LineProfile``."""
+    axis = own_axes(ax)
     for name, ratio in profile.ratio.items():
-        bottom.errorbar(profile.position_um, ratio, profile.ratio_sigma[name], fmt=".", ms=3, label=name)
-    top.set_ylabel("above black (DN)")
-    bottom.set_ylabel("ratio, black removed")
-    bottom.set_xlabel("position (um on the sensor)")
-    for axis in (top, bottom):
-        axis.grid(alpha=0.3)
+        axis.errorbar(profile.position_um, ratio, profile.ratio_sigma[name], fmt=".", ms=3, label=name)
+    axis.set(xlabel="position (um on the sensor)", ylabel="ratio, black removed")
+    axis.grid(alpha=0.3)
+    if profile.ratio:
         axis.legend(fontsize="small")
-    return figure
+    return axis
+
+
+def plot_color_error(result: Any, ax: Axes | None = None) -> Axes:
+    """CIEDE2000 of every patch with gains only and with the fitted matrix, of a ``ColorError``."""
+    axis = own_axes(ax)
+    place = np.arange(len(result.names))
+    axis.bar(place - 0.2, result.gains_only, 0.4, color="0.75", label=f"gains only: mean {result.mean_gains_only:.2f}")
+    axis.bar(place + 0.2, result.fitted, 0.4, color="tab:blue", label=f"fitted 3 x 3: mean {result.mean_fitted:.2f}")
+    axis.axhline(result.noise, color="0.4", lw=0.8, ls="--", label=f"noise alone: {result.noise:.2f}")
+    axis.set_xticks(place, result.names, rotation=90, fontsize="x-small")
+    axis.set_ylabel("CIEDE2000")
+    return _finished(axis)
+
+
+def plot_qe_residuals(result: Any, ax: Axes | None = None) -> Axes:
+    """Measured minus predicted of every patch and light after M, of a ``SpectralQE``."""
+    axis = own_axes(ax)
+    names = list(result.residual_by_patch)
+    for j, color in enumerate(CHANNEL_COLORS):
+        pairs = [(i, row[j]) for i, name in enumerate(names) for row in result.residual_by_patch[name]]
+        axis.plot([i for i, _ in pairs], [value for _, value in pairs], ".", color=color, ms=4, label="RGB"[j])
+    axis.axhline(0, color="0.5", lw=0.8)
+    axis.set_xticks(range(len(names)), names, rotation=90, fontsize="x-small")
+    axis.set_ylabel("measured - predicted")
+    return _finished(axis)

@@ -10,6 +10,7 @@ import numpy as np
 from isetval.app.plots.panels import own_axes
 from isetval.core.capture import Capture
 from isetval.measure.edge.edge_finding import FoundEdges, working_image
+from isetval.measure.edge.field_and_focus import FocusCurve, LensProfile
 from isetval.measure.edge.sfr_result import AXIS, SfrResult
 
 if TYPE_CHECKING:
@@ -44,6 +45,21 @@ def plot_edges(capture: Capture, found: FoundEdges, results: Sequence[SfrResult]
     for roi in found:
         _box(axis, roi, ACCEPTED, labels.get((roi[0], roi[1], roi[2], roi[3]), f"{roi.angle_deg:.1f}\N{DEGREE SIGN}"))
     axis.set_title(f"{len(found)} used (green), {len(found.rejected)} rejected (red{', with reason' if named else ''})")
+    return axis
+
+
+def plot_regions(found: FoundEdges, ax: Axes | None = None) -> Axes:
+    """Where the regions lie, without their frame: accepted green with the angle, rejected red with the reason."""
+    axis = own_axes(ax)
+    for edge in found.rejected:
+        _box(axis, edge.roi, REJECTED, edge.reason if len(found.rejected) <= MOST_REASONS else "")
+    for roi in found:
+        _box(axis, roi, ACCEPTED, f"{roi.angle_deg:.1f}\N{DEGREE SIGN}")
+    boxes = [*found, *(edge.roi for edge in found.rejected)]
+    if boxes:
+        axis.set(xlim=(0, max(b[3] for b in boxes) * 1.02), ylim=(max(b[1] for b in boxes) * 1.02, 0))
+    axis.set(xlabel="column (px)", ylabel="row (px)", aspect="equal", title=found.headline())
+    axis.title.set_fontsize("small")
     return axis
 
 
@@ -145,6 +161,38 @@ def sfr_curves(axis: Axes, results: Mapping[str, SfrResult]) -> None:
     axis.set(xlim=(0, 1), ylim=(-0.05, 1.1), xlabel=AXIS.replace(", ", ",\n"), ylabel="SFR")
     if axis.get_legend_handles_labels()[0]:
         axis.legend(fontsize="x-small")
+
+
+def plot_lens_profile(result: LensProfile, ax: Axes | None = None) -> Axes:
+    """MTF50 of every edge over the field radius, by direction, with the fitted curves of a ``LensProfile``."""
+    axis = own_axes(ax)
+    for i, direction in enumerate(("meridional", "sagittal", "oblique", "center")):
+        own = [p for p in result.points if p.direction == direction]
+        if own:
+            radius = [p.radius_mm for p in own]
+            value, sigma = [p.mtf50_cy_px for p in own], [p.mtf50_sigma for p in own]
+            axis.errorbar(radius, value, sigma, fmt="o", ms=4, color=f"C{i}", label=direction)
+            if direction in ("meridional", "sagittal") and len(own) > 2:
+                at = np.linspace(0, max(radius), 60)
+                axis.plot(at, result.curve(direction, at)[0], color=f"C{i}", lw=0.8)
+    axis.set(xlabel="field radius (mm)", ylabel="MTF50 (cycles/px)")
+    axis.set_ylim(bottom=0)
+    axis.grid(alpha=0.3)
+    if result.points:
+        axis.legend(fontsize="small")
+    return axis
+
+
+def plot_focus_curve(result: FocusCurve, ax: Axes | None = None) -> Axes:
+    """SFR at one frequency over the focus setting, with the best focus, of a ``FocusCurve``."""
+    axis = own_axes(ax)
+    axis.errorbar(result.focus, result.mtf, result.sigma, fmt="o-", ms=4, label=f"channel {result.channel}")
+    if np.isfinite(result.best_focus):
+        axis.axvline(result.best_focus, color="0.5", lw=0.8, ls="--", label=f"best focus {result.best_focus:.4g}")
+    axis.set(xlabel="focus setting", ylabel="SFR")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize="small")
+    return axis
 
 
 def pair_figure(measured: tuple[Capture, SfrResult], simulated: tuple[Capture, SfrResult]) -> Figure:

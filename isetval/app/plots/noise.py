@@ -97,18 +97,23 @@ def _pattern(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
         axis.legend(fontsize="small")
 
 
+def plot_patches(result: PatchTable, ax: Axes | None = None) -> Axes:
+    """Standard deviation against mean of the accepted patches of one table."""
+    axis = own_axes(ax)
+    std = [p.temporal_std_dn if result.method == "two_frame" else p.spatial_std_dn for p in result.accepted]
+    axis.plot([p.mean_dn for p in result.accepted], std, ".", markersize=3)
+    title = f"{result.method}: {result.pass_rate():.0%} accepted"
+    axis.set(xlabel="mean above black (DN)", ylabel="standard deviation (DN)", title=title)
+    return axis
+
+
 def patch_figure(tables: Mapping[str, PatchTable]) -> Figure:
     """Noise against mean of accepted patches, one panel a method."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5 * len(tables), 4), layout="constrained")
     for axis, (name, table) in zip(np.atleast_1d(figure.subplots(1, len(tables))), tables.items(), strict=True):
-        mean = [p.mean_dn for p in table.accepted]
-        std = [p.temporal_std_dn if table.method == "two_frame" else p.spatial_std_dn for p in table.accepted]
-        axis.plot(mean, std, ".", markersize=3)
-        axis.set(
-            xlabel="mean above black (DN)", ylabel="standard deviation (DN)", title=f"{name}: {table.pass_rate():.0%} accepted"
-        )
+        plot_patches(table, axis).set_title(f"{name}: {table.pass_rate():.0%} accepted")
     return figure
 
 

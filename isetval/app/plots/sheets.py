@@ -131,7 +131,7 @@ def chart_sheet(capture: Capture, name: str) -> Sheet:
         table.append((f"{i + 1} {patch}", *cells))
     remarks = list(result.warnings)
     try:
-        remarks.append(repr(result.color_error()).removeprefix("ColorError(").removesuffix(")"))
+        remarks.append(result.color_error().headline())
     except InputError as error:
         remarks.append(f"no colour error: {error}")
     curves = {"patches": list(result.names), "mean_dn": plain(result.mean_dn), "sigma_dn": plain(result.sigma_dn)}

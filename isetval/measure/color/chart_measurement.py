@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from isetval.core.capture import Capture, check_roi
 from isetval.core.errors import InputError
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Drawn
 from isetval.core.threads import one_blas_thread
 from isetval.measure.color.chart_finding import FoundChart, find_chart
 from isetval.measure.color.chart_layout import (
@@ -28,6 +29,9 @@ from isetval.measure.color.chart_layout import (
 )
 from isetval.measure.color.color_error import ColorError, color_error
 from isetval.measure.color.patch_statistics import DIFFERENCE_VARIANCE_FACTOR, PatchRows, quad_rows
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.float64]
 # of a patch's pixels: a normal noise that reaches white with so many loses 6e-4 of its sigma in the mean
@@ -52,8 +56,8 @@ class NoiseLine:
     patches: int
 
 
-@dataclass(frozen=True, eq=False)
-class ChartResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ChartResult(Drawn):
     """A measured chart.
 
     Parameters
@@ -89,14 +93,26 @@ class ChartResult:
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
+    def headline(self) -> str:
+        """Patches, certainty of the reading, brightest levels."""
         brightest = dict(zip(self.planes, (float(v) for v in np.max(self.mean_dn, axis=0)), strict=True))
         levels = ", ".join(f"{plane} {level:.1f}" for plane, level in brightest.items())
         doubts = f", {len(self.warnings)} warnings" if self.warnings else ""
         return (
-            f"ChartResult({len(self.names)} patches by {self.found_by}, colours agree {self.confidence:.2f}, "
-            f"brightest in DN: {levels}{doubts})"
+            f"{len(self.names)} patches by {self.found_by}, colours agree {self.confidence:.2f}, "
+            f"brightest in DN: {levels}{doubts}"
         )
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a patch and plane: name, channel, patch, value, sigma, unit."""
+        import pandas as pd
+
+        rows = [
+            ("patch_mean", plane, patch, float(self.mean_dn[i, k]), float(self.sigma_dn[i, k]), "DN")
+            for i, patch in enumerate(self.names)
+            for k, plane in enumerate(self.planes)
+        ]
+        return pd.DataFrame(rows, columns=["name", "channel", "patch", "value", "sigma", "unit"])
 
     @property
     def planes(self) -> tuple[str, ...]:

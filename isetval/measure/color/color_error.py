@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError, MeasurementError
+from isetval.core.shown import Drawn
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -21,8 +26,8 @@ DRAWS = 100  # sigma of a mean error from 100 draws is itself known to 7 %
 LIGHTNESS_POWER = -2 / 3  # L* rises as Y^(1/3): equal steps of L* are steps of Y^(2/3)
 
 
-@dataclass(frozen=True, eq=False)
-class ColorError:
+@dataclass(frozen=True, eq=False, repr=False)
+class ColorError(Drawn):
     """CIEDE2000 of a chart's patches; patches that are clipped are NaN and not fitted.
 
     Parameters
@@ -50,13 +55,28 @@ class ColorError:
     gains: Float
     matrix: Float
 
-    def __repr__(self) -> str:
+    def headline(self) -> str:
+        """Mean errors and the worst patch."""
         worst = int(np.nanargmax(self.fitted))
         return (
-            f"ColorError(dE2000 mean {self.mean_gains_only:.2f} +- {self.sigma_gains_only:.2f} with gains only, "
+            f"dE2000 mean {self.mean_gains_only:.2f} +- {self.sigma_gains_only:.2f} with gains only, "
             f"{self.mean_fitted:.2f} +- {self.sigma_fitted:.2f} with a fitted 3 x 3 (noise alone {self.noise:.2f}), "
-            f"worst {self.fitted[worst]:.2f}: {self.names[worst]})"
+            f"worst {self.fitted[worst]:.2f}: {self.names[worst]}"
         )
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a patch and kind of correction: name, patch, value, unit; the means with their sigma."""
+        import pandas as pd
+
+        kinds = (
+            ("de2000_gains_only", self.gains_only, self.mean_gains_only, self.sigma_gains_only),
+            ("de2000_fitted", self.fitted, self.mean_fitted, self.sigma_fitted),
+        )
+        rows = [(name, "mean", mean, sigma, "1") for name, _, mean, sigma in kinds]
+        rows += [
+            (n, patch, float(v), np.nan, "1") for n, values, *_ in kinds for patch, v in zip(self.names, values, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["name", "patch", "value", "sigma", "unit"])
 
 
 def color_error(rgb: Float, sigma: Float, lab: Float, *, usable: Bool, names: tuple[str, ...], seed: int = 0) -> ColorError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, check_roi
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Drawn
 from isetval.measure.color.repeated_frames import StripPixels, pattern_variance, strip_over_frames
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.float64]
 Pair = tuple[float, float]
@@ -39,8 +43,8 @@ class ProfileSegment:
     ratio_sigma: Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
-class LineProfile:
+@dataclass(frozen=True, eq=False, repr=False)
+class LineProfile(Drawn):
     """Values along a line.
 
     Parameters
@@ -76,13 +80,27 @@ class LineProfile:
     settings: Mapping[str, Any] = field(default_factory=dict)
     fixed_sigma_dn: Mapping[str, Float] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
+    def headline(self) -> str:
+        """Bins and the range of levels."""
         levels = ", ".join(
             f"{p} {np.nanmin(v):.1f}..{np.nanmax(v):.1f}" for p, v in self.value_dn.items() if p not in ("Gr", "Gb")
         )
         more = f", {len(self.segments)} segments" if self.segments else ""
         clipped = f", {int(self.clipped.sum())} clipped" if self.clipped.any() else ""
-        return f"LineProfile({self.position_px.size} bins{clipped}{more}, DN above black: {levels})"
+        return f"{self.position_px.size} bins{clipped}{more}, DN above black: {levels}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a bin and plane or ratio: name, channel, position_um, value, sigma, unit."""
+        import pandas as pd
+
+        parts = [("line_profile", p, v, self.sigma_dn[p], "DN") for p, v in self.value_dn.items()]
+        parts += [("line_ratio", p, v, self.ratio_sigma[p], "1") for p, v in self.ratio.items()]
+        rows = [
+            (name, channel, float(at), float(v), float(s), unit)
+            for name, channel, value, sigma, unit in parts
+            for at, v, s in zip(self.position_um, value, sigma, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["name", "channel", "position_um", "value", "sigma", "unit"])
 
 
 def line_profile(

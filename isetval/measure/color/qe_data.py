@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
+from isetval.core.shown import Drawn
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.float64]
 Numbered = tuple[NDArray[np.intp], NDArray[np.intp], tuple[tuple[str, ...], tuple[str, ...]]]
@@ -47,8 +51,8 @@ class PatchMisfit:
     worst_relative: float
 
 
-@dataclass(frozen=True, eq=False)
-class SpectralQE:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpectralQE(Drawn):
     """Matrix M of ``measured = nominal M`` (row vectors: rows input channel, columns output channel).
 
     Parameters
@@ -96,14 +100,26 @@ class SpectralQE:
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
+    def headline(self) -> str:
+        """M, its error, outliers."""
         rows = "; ".join(" ".join(f"{v:.4f}" for v in row) for row in self.matrix)
         named = f", outlying: {', '.join(self.outliers)}" if self.outliers else ""
         return (
-            f"SpectralQE({len(set(self.row_patch))} patches, {len(set(self.row_light))} lights: M = [{rows}], "
+            f"{len(set(self.row_patch))} patches, {len(set(self.row_light))} lights: M = [{rows}], "
             f"rms error {100 * self.rms_relative:.2f} % (gains only {100 * self.rms_relative_gains_only:.2f} %), "
-            f"chi2/dof {self.chi2:.1f}/{self.dof}{named})"
+            f"chi2/dof {self.chi2:.1f}/{self.dof}{named}"
         )
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row an entry of M: name, from_channel, channel, value, sigma, unit."""
+        import pandas as pd
+
+        rows = [
+            ("qe_matrix", a, b, float(self.matrix[i, j]), float(self.sigma[i, j]), "1")
+            for i, a in enumerate("RGB")
+            for j, b in enumerate("RGB")
+        ]
+        return pd.DataFrame(rows, columns=["name", "from_channel", "channel", "value", "sigma", "unit"])
 
     @property
     def residual_by_patch(self) -> dict[str, Float]:

@@ -6,20 +6,27 @@ the edge's own width.  Every candidate that is dropped keeps its reason.
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, black_image_dn, plane_view
 from isetval.core.errors import InputError
+from isetval.core.jsonable import plain
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Drawn
 from isetval.core.threads import one_blas_thread
 from isetval.measure.edge.contours import Segment, find_segments
 from isetval.measure.edge.measure_regions import sfr
 from isetval.measure.edge.samples import MIN_SIDE_PX, check_channel
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.floating[Any]]
 
@@ -70,12 +77,32 @@ class RejectedEdge:
     length_px: float
 
 
-class FoundEdges(list[EdgeRoi]):
+class FoundEdges(Drawn, list[EdgeRoi]):
     """Regions of slanted edges; ``rejected`` holds the candidates that were dropped, with reasons."""
 
     def __init__(self, accepted: Iterable[EdgeRoi] = (), rejected: Iterable[RejectedEdge] = ()) -> None:
         super().__init__(accepted)
         self.rejected: list[RejectedEdge] = list(rejected)
+
+    def headline(self) -> str:
+        """How many, and the reasons against the others."""
+        reasons = Counter(edge.reason for edge in self.rejected).most_common()
+        against = f": {', '.join(f'{count} {reason}' for reason, count in reasons)}" if reasons else ""
+        return f"{len(self)} edges, {len(self.rejected)} rejected{against}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a region: row0, row1, col0, col1, reason (empty: accepted), row_px, col_px, length_px, angle_deg."""
+        import pandas as pd
+
+        rows = [(*edge, "", edge.row_px, edge.col_px, edge.length_px, edge.angle_deg) for edge in self]
+        rows += [(*edge.roi, edge.reason, edge.row_px, edge.col_px, edge.length_px, math.nan) for edge in self.rejected]
+        names = ["row0", "row1", "col0", "col1", "reason", "row_px", "col_px", "length_px", "angle_deg"]
+        return pd.DataFrame(rows, columns=names)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """The rows of the table."""
+        rows: list[dict[str, Any]] = plain(self.to_frame().to_dict(orient="records"))
+        return rows
 
 
 @one_blas_thread()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from isetval.core.capture import Capture, field_mm
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Drawn
 from isetval.measure.edge.edge_finding import find_edges
 from isetval.measure.edge.measure_regions import sfr, sfr_batch
 from isetval.measure.edge.sfr_result import SfrResult
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.floating[Any]]
 
@@ -40,14 +44,31 @@ class FieldPoint:
     result: SfrResult = field(repr=False)
 
 
-@dataclass(frozen=True)
-class LensProfile:
+@dataclass(frozen=True, repr=False)
+class LensProfile(Drawn):
     """MTF50 over the field: the points, and what was refused."""
 
     points: tuple[FieldPoint, ...]
     refused: tuple[SfrResult, ...]
     half_diagonal_mm: float
     channel: str
+
+    def headline(self) -> str:
+        """How many edges, and the range of their MTF50."""
+        found = [p.mtf50_cy_px for p in self.points]
+        span = f", MTF50 {min(found):.3f} to {max(found):.3f} cy/px" if found else ""
+        return f"channel {self.channel}: {len(self.points)} edges, {len(self.refused)} refused{span}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row an edge: name, channel, x_mm, y_mm, radius_mm, direction, value, sigma, unit."""
+        import pandas as pd
+
+        rows = [
+            ("mtf50", self.channel, p.x_mm, p.y_mm, p.radius_mm, p.direction, p.mtf50_cy_px, p.mtf50_sigma, "cy/px")
+            for p in self.points
+        ]
+        names = ["name", "channel", "x_mm", "y_mm", "radius_mm", "direction", "value", "sigma", "unit"]
+        return pd.DataFrame(rows, columns=names)
 
     def curve(self, direction: str, radius_mm: ArrayLike, *, order: int = 2) -> tuple[Float, Float]:
         """Even polynomial 1, r^2, r^4 ... in the field radius through the points of one direction.
@@ -144,8 +165,8 @@ def _field_point(capture: Capture, result: SfrResult) -> FieldPoint:
     return FieldPoint(x, y, radius, direction, result.mtf50_cy_px, result.mtf50_sigma, result)
 
 
-@dataclass(frozen=True)
-class FocusCurve:
+@dataclass(frozen=True, repr=False)
+class FocusCurve(Drawn):
     """SFR at one frequency against focus for one channel, with the best focus (NaN when not enclosed)."""
 
     channel: str
@@ -155,6 +176,20 @@ class FocusCurve:
     best_focus: float
     best_focus_sigma: float
     best_mtf: float
+
+    def headline(self) -> str:
+        """The best focus."""
+        return f"channel {self.channel}: best focus {self.best_focus:.5g} +- {self.best_focus_sigma:.2g}, SFR {self.best_mtf:.3f}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a focus setting: name, channel, focus (unit as given), value, sigma, unit."""
+        import pandas as pd
+
+        rows = [
+            ("mtf", self.channel, float(f), float(v), float(s), "1")
+            for f, v, s in zip(self.focus, self.mtf, self.sigma, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["name", "channel", "focus", "value", "sigma", "unit"])
 
 
 def through_focus(

@@ -6,16 +6,20 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import MeasurementError
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Drawn
 from isetval.core.threads import one_blas_thread
 from isetval.measure.edge import spectrum
 from isetval.measure.edge.esf_fit import EsfFit, solve_lower
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.floating[Any]]
 
@@ -23,8 +27,8 @@ Float = NDArray[np.floating[Any]]
 AXIS = "frequency along the edge normal, cycles per pixel of the full sensor grid"
 
 
-@dataclass(frozen=True, eq=False)
-class SfrResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class SfrResult(Drawn):
     """Slanted-edge SFR of one region.
 
     Parameters
@@ -103,6 +107,28 @@ class SfrResult:
     messages: Mapping[str, str] = field(default_factory=dict)
 
     axis = AXIS
+
+    def headline(self) -> str:
+        """Region, MTF50 and verdict."""
+        region = ",".join(map(str, self.roi))
+        if self.flags:
+            return f"channel {self.channel}, region {region}: refused, {', '.join(self.flags)}"
+        return (
+            f"channel {self.channel}, region {region}: MTF50 {self.mtf50_cy_px:.4f} +- {self.mtf50_sigma:.4f} cy/px, "
+            f"edge {self.angle_deg:.2f} deg from {self.orientation}"
+        )
+
+    def to_frame(self) -> pd.DataFrame:
+        """MTF50, 30, 10 and the curve: name, channel, frequency_cy_px, value, sigma, unit."""
+        import pandas as pd
+
+        rows: list[tuple[Any, ...]] = [
+            (name, self.channel, None, getattr(self, f"{name}_cy_px"), getattr(self, f"{name}_sigma"), "cy/px")
+            for name in ("mtf50", "mtf50p", "mtf30", "mtf10")
+        ]
+        curve = zip(self.frequency_cy_px, self.mtf, self.mtf_sigma, strict=True)
+        rows += [("mtf", self.channel, float(f), float(v), float(s), "1") for f, v, s in curve]
+        return pd.DataFrame(rows, columns=["name", "channel", "frequency_cy_px", "value", "sigma", "unit"])
 
     @property
     def accepted(self) -> bool:

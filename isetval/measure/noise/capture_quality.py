@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Shown
 from isetval.measure.noise.moments import frame_moments
 from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import AT_BLACK_DN, check_region, frame_mean, frame_noise
@@ -42,8 +43,8 @@ class Finding:
     advice: str
 
 
-@dataclass(frozen=True)
-class Quality:
+@dataclass(frozen=True, repr=False)
+class Quality(Shown):
     """Verdict ``good``, ``usable`` (read the findings) or ``unusable``, and the findings behind it.
 
     ``rejected`` are the numbers of the captures that no analysis should use; all of them make the set unusable.
@@ -52,6 +53,10 @@ class Quality:
     verdict: str
     findings: tuple[Finding, ...]
     rejected: tuple[int, ...] = ()
+
+    def headline(self) -> str:
+        """The verdict and its reasons."""
+        return f"{self.verdict}: {', '.join(self.reasons)}" if self.findings else self.verdict
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.quantity import Quantity, root
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Drawn
 from isetval.core.threads import one_blas_thread
 from isetval.measure.noise.dark_level import TAG_DIFFERS, DarkLevel, dark_level, differs_from_tag
 from isetval.measure.noise.setups import look_at_frames
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 Float = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlaneDark:
     """Dark signal of one plane, DN; what came out of a negative variance is 0 and has a note.
 
@@ -73,12 +74,24 @@ class PlaneDark:
     levels: tuple[tuple[float | None, DarkLevel], ...]
     flags: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        return (
+            f"PlaneDark({self.plane}: black level {self.black_level_dn}, read noise {self.read_noise_dn}, "
+            f"dark current {self.dark_current_dn_per_s}, {self.hot_pixels} hot pixels)"
+        )
 
-@dataclass(frozen=True, eq=False)
-class Dark(Mapping[str, PlaneDark]):
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Dark(Drawn, Mapping[str, PlaneDark]):
     """Plane name -> PlaneDark."""
 
     planes: Mapping[str, PlaneDark]
+
+    def headline(self) -> str:
+        """Black level and read noise of every plane."""
+        return "; ".join(
+            f"{name}: black level {plane.black_level_dn}, read noise {plane.read_noise_dn}" for name, plane in self.planes.items()
+        )
 
     def __getitem__(self, plane: str) -> PlaneDark:
         if plane not in self.planes:

@@ -17,6 +17,7 @@ import numpy as np
 from isetval.core.capture import Capture
 from isetval.core.quantity import Quantity, root
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Shown
 from isetval.measure.noise.dark_frames import dark as dark_analysis
 from isetval.measure.noise.setups import sort_into_setups
 from isetval.measure.noise.transfer import transfer_of_setups
@@ -42,11 +43,16 @@ class EmvaRow:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class EmvaTable:
+@dataclass(frozen=True, repr=False)
+class EmvaTable(Shown):
     """Rows of the table."""
 
     rows: tuple[EmvaRow, ...]
+
+    def headline(self) -> str:
+        """Planes and how many quantities they have."""
+        planes = list(dict.fromkeys(row.plane for row in self.rows))
+        return f"{len(self.rows)} quantities of {', '.join(planes) or 'no plane'}"
 
     def __getitem__(self, key: tuple[str, str]) -> EmvaRow:
         """Row by (plane, symbol)."""

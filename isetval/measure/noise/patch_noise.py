@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
 from isetval.core.sensor import RoiLike
+from isetval.core.shown import Drawn
 from isetval.measure.noise.lyu2022 import departure_from_uniform
 from isetval.measure.noise.setups import check_frames
 
@@ -46,12 +48,18 @@ class Patch:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class PatchTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class PatchTable(Drawn):
     """Patches with a table view."""
 
     patches: tuple[Patch, ...]
     method: str
+
+    def headline(self) -> str:
+        """How many were accepted, and the common reasons against the others."""
+        reasons = Counter(p.reason for p in self.patches if p.reason).most_common(3)
+        against = f"; {', '.join(f'{count} {reason}' for reason, count in reasons)}" if reasons else ""
+        return f"{len(self.accepted)} of {len(self.patches)} patches accepted, method {self.method}{against}"
 
     def __len__(self) -> int:
         return len(self.patches)

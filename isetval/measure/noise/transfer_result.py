@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from isetval.core.errors import InputError
 from isetval.core.quantity import Quantity
+from isetval.core.shown import Drawn
 from isetval.measure.noise.curve import CurveFit
 from isetval.measure.noise.levels import Level
 
@@ -20,7 +21,7 @@ NO_EFFICIENCY = Quantity(NAN, NAN, "%")
 NO_OFFSET = Quantity(NAN, NAN, "s")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlaneTransfer:
     """Photon transfer of one color plane.
 
@@ -88,14 +89,27 @@ class PlaneTransfer:
     fit: CurveFit | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        doubts = f", {', '.join(self.flags)}" if self.flags else ""
+        return (
+            f"PlaneTransfer({self.plane}: K {self.gain_dn_per_e}, read noise {self.read_noise_e}, PRNU {self.prnu}, "
+            f"{len(self.levels)} levels{doubts})"
+        )
 
-@dataclass(frozen=True, eq=False)
-class PhotonTransfer(Mapping[str, PlaneTransfer]):
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PhotonTransfer(Drawn, Mapping[str, PlaneTransfer]):
     """Plane name -> PlaneTransfer, with what was chosen from the data."""
 
     planes: Mapping[str, PlaneTransfer]
     method: str
     notes: tuple[str, ...] = ()
+
+    def headline(self) -> str:
+        """The conversion gain of every plane."""
+        return "; ".join(
+            f"{name}: K {plane.gain_dn_per_e}, read noise {plane.read_noise_e}" for name, plane in self.planes.items()
+        )
 
     def __getitem__(self, plane: str) -> PlaneTransfer:
         if plane not in self.planes:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
+from isetval.core.shown import Drawn
 from isetval.measure.shading.radial_basis import Radial
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Float = NDArray[np.float64]
 
@@ -126,8 +130,8 @@ class OddEven:
     odd_noise_rms: float
 
 
-@dataclass(frozen=True, eq=False)
-class RelativeIllumination:
+@dataclass(frozen=True, eq=False, repr=False)
+class RelativeIllumination(Drawn):
     """Relative illumination of all planes; ``result["Gr"]`` is one plane, ``result["G"]`` is short for ``"Gr"``.
 
     ``center_px`` (row, col), ``tilt_per_mm`` (x, y) and their sigma are those of all planes together;
@@ -154,15 +158,29 @@ class RelativeIllumination:
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
+    def headline(self) -> str:
+        """Fall-off at the rim, centre, fit."""
         some = next(iter(self.planes.values()))
         edges = ", ".join(f"{p} {v.curve[-1]:.4f}" for p, v in self.planes.items())
         doubts = f", {len(self.warnings)} warnings" if self.warnings else ""
         return (
-            f"RelativeIllumination({edges} at {some.radius_mm[-1]:.3f} mm, centre (row, col) "
+            f"{edges} at {some.radius_mm[-1]:.3f} mm, centre (row, col) "
             f"{self.center_px[0]:.1f}, {self.center_px[1]:.1f} px, {self.basis} of order {self.order}, "
-            f"chi2/dof {self.chi2_dof:.3f}{doubts})"
+            f"chi2/dof {self.chi2_dof:.3f}{doubts}"
         )
+
+    def to_frame(self) -> pd.DataFrame:
+        """The curves of all planes and their ratios: name, channel, radius_mm, value, sigma, unit."""
+        import pandas as pd
+
+        curves = [("relative_illumination", name, p.radius_mm, p.curve, p.sigma) for name, p in self.planes.items()]
+        curves += [("color_shading", name, c.radius_mm, c.ratio, c.sigma) for name, c in self.color_shading.items()]
+        rows = [
+            (name, channel, float(r), float(v), float(s), "1")
+            for name, channel, radius, value, sigma in curves
+            for r, v, s in zip(radius, value, sigma, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["name", "channel", "radius_mm", "value", "sigma", "unit"])
 
     def __getitem__(self, plane: str) -> PlaneIllumination:
         if plane == "G" and "Gr" in self.planes:
