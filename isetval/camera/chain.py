@@ -145,7 +145,7 @@ def _front(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, how: Re
     out = np.empty((rows, cols))
     for top in range(0, rows, step):
         part = (row0 + top, col0, min(step, rows - top), cols)
-        context = replace(whole, window=part, shot_window=whole.window)
+        context = whole.but(window=part, shot_window=whole.window)
         signal = _run_front(model, effects, setup, context, mean, how)
         out[top : top + part[2]] = signal.values.reshape(signal.values.shape[-2:])
     return out
@@ -164,7 +164,7 @@ def _run_front(
     for i, (effect, nth) in enumerate(zip(effects, occurrences(effects), strict=True)):
         if effect.stage != "scene":
             own = context.for_effect(effect.name, nth)
-            signal = effect.apply(signal, replace(own, mean_irradiance=mean[i]) if i in mean else own)
+            signal = effect.apply(signal, own.but(mean_irradiance=mean[i]) if i in mean else own)
     return signal
 
 
@@ -262,16 +262,16 @@ def _run_block_wise(
 ) -> NDArray[Any]:
     row0, col0, rows, cols = context.window
     if run[0][0].halo_px:
-        return _run(run, charge, unit, replace(context, shot_window=context.window))
+        return _run(run, charge, unit, context.but(shot_window=context.window))
     edges = [row0, *range((row0 // TILE_ROWS + 1) * TILE_ROWS, row0 + rows, TILE_ROWS), row0 + rows]
     out = charge
 
     def block(i: int) -> None:
         part = (edges[i], col0, edges[i + 1] - edges[i], cols)
         rows_here = slice(edges[i] - row0, edges[i + 1] - row0)
-        own = replace(context, window=part, shot_window=context.window)
+        own = context.but(window=part, shot_window=context.window)
         if own.previous is not None and own.previous.shape[0] == rows:
-            own = replace(own, previous=own.previous[rows_here])
+            own = own.but(previous=own.previous[rows_here])
         out[:, rows_here] = _run(run, charge[:, rows_here], unit, own)
 
     if threads > 1 and len(edges) > 4:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -39,26 +40,28 @@ def expose(
     gaussian = bool(mean.mean() > NORMAL_ABOVE_E)
     threads = min(2, os.cpu_count() or 1) if mean.size > BIG_PX else 1
     frames = []
+    stored = stored_exposure(shot.exposure)
     for frame in range(shot.frames):
         before = np.full((1, 1), previous) if frame == 0 else mean
         factor = 1.0 if frame_factors is None else frame_factors[frame]
-        own = replace(context, frame=frame, previous=before, poisson_gaussian=gaussian)
+        own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian)
         dn = electronics(model, mean, own, factor=float(factor), threads=threads)
         if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
             dn = dn + stream(seed, word("dither"), word(shot.name), frame).random(dn.shape) - 0.5
-        frames.append(_capture(model, setup, dn, seed, frame))
+        frames.append(_capture(model, setup, dn, seed, frame, stored))
     return tuple(frames)
 
 
-def _capture(model: Camera, setup: ShotSetup, dn: NDArray[Any], seed: int, frame: int) -> Capture:
+def _capture(model: Camera, setup: ShotSetup, dn: NDArray[Any], seed: int, frame: int, exposure: Exposure) -> Capture:
     shot = setup.shot
     np.rint(dn, out=dn)
     codes = np.clip(dn, 0, 65535, out=dn).astype(np.uint16)
     provenance = {"maker": "isetval", "model": model.name, "shot": shot.name, "seed": seed, "frame": frame}
     row0, col0 = (shot.window or (0, 0))[:2]
-    return Capture(codes, model.sensor, (row0, col0), stored_exposure(shot.exposure), provenance)
+    return Capture(codes, model.sensor, (row0, col0), exposure, provenance)
 
 
+@lru_cache(maxsize=256)
 def stored_exposure(exposure: Exposure) -> Exposure:
     """The exposure as a DNG holds it: times as 32-bit rationals."""
     if exposure.time_s is None:

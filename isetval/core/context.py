@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -24,6 +24,7 @@ TILE_COLS = 128
 Float32 = NDArray[np.float32]
 
 
+@lru_cache(maxsize=4096)
 def word(text: str) -> int:
     """A stable 32-bit number for a name."""
     return zlib.crc32(text.encode())
@@ -95,7 +96,13 @@ class Context:
 
     def for_effect(self, name: str, occurrence: int) -> Context:
         """The same place with the random streams of one effect."""
-        return replace(self, effect_key=(word(name), occurrence))
+        return self.but(effect_key=(word(name), occurrence))
+
+    def but(self, **changes: Any) -> Context:
+        """`dataclasses.replace` at a fifth of its cost: contexts are made for every effect, frame and block of rows."""
+        new = object.__new__(type(self))
+        new.__dict__.update(self.__dict__, **changes)
+        return new
 
     def time_s(self) -> float:
         """Exposure time in s; 0 where the plan states none (a bias frame)."""

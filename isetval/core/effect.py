@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
@@ -78,6 +79,18 @@ def _file_content(base: str, file: str) -> str:
     return remembered_file_hash(path)
 
 
+@cache
+def _parameters_of(kind: type[Effect]) -> tuple[ParameterInfo, ...]:
+    return tuple(
+        ParameterInfo(name=f.name, **f.metadata["parameter"]) for f in dataclasses.fields(kind) if "parameter" in f.metadata
+    )
+
+
+@cache
+def _files_of(kind: type[Effect]) -> tuple[str, ...]:
+    return tuple(f.name for f in dataclasses.fields(kind) if "file" in f.metadata)
+
+
 EffectType = TypeVar("EffectType", bound="Effect")
 
 
@@ -134,14 +147,12 @@ class Effect:
     @classmethod
     def parameters(cls) -> tuple[ParameterInfo, ...]:
         """The physical parameters, in order."""
-        return tuple(
-            ParameterInfo(name=f.name, **f.metadata["parameter"]) for f in dataclasses.fields(cls) if "parameter" in f.metadata
-        )
+        return _parameters_of(cls)  # type: ignore[arg-type]  # a class is hashable (mypy 11469)
 
     @classmethod
     def files(cls) -> tuple[str, ...]:
         """Names of the fields that name files."""
-        return tuple(f.name for f in dataclasses.fields(cls) if "file" in f.metadata)
+        return _files_of(cls)  # type: ignore[arg-type]
 
     def values(self) -> Mapping[str, float]:
         """Parameter values by name."""
@@ -149,11 +160,15 @@ class Effect:
 
     def content(self) -> tuple[Any, ...]:
         """Everything that decides what the effect does: the key of caches."""
-        return (
-            self.name,
-            *self.values().items(),
-            *(_file_content(self.base, getattr(self, name)) for name in self.files()),
-        )
+        files = self.files()
+        if not files:
+            return self._numbers
+        return (*self._numbers, *(_file_content(self.base, getattr(self, name)) for name in files))
+
+    @cached_property
+    def _numbers(self) -> tuple[Any, ...]:
+        """Name and values: asked for a hundred thousand times in a diagnosis."""
+        return (self.name, *self.values().items())
 
     def changed(self: EffectType, **values: Any) -> EffectType:
         """The effect with other parameter values."""
