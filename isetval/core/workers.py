@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -13,8 +14,13 @@ WATCH_S = 2.0  # how often a worker looks for its parent: at most so long an orp
 
 def single_worker() -> ProcessPoolExecutor:
     """A pool of one spawned process, for work that profits from what that process remembers."""
+    return worker_pool(1)
+
+
+def worker_pool(jobs: int) -> ProcessPoolExecutor:
+    """A pool of ``jobs`` spawned processes."""
     spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, mp_context=spawn, initializer=_live_with_parent, initargs=(os.getpid(),))
+    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_live_with_parent, initargs=(os.getpid(),))
 
 
 def _live_with_parent(parent: int) -> None:
@@ -24,6 +30,7 @@ def _live_with_parent(parent: int) -> None:
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent ends the work and says so once
 
     def watch() -> None:
         while os.getppid() == parent:

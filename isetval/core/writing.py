@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import tempfile
+import secrets
 from pathlib import Path
+from typing import BinaryIO
 
 from isetval.core.errors import InputError
 
@@ -34,21 +36,45 @@ def replace_whole(path: Path, data: bytes) -> None:
     OSError
         As the system says it; the temporary file is gone and the old one is as it was.
     """
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.")
+    temporary = path.parent / f".{path.name[:100]}.{secrets.token_hex(6)}"
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, path)
+        _write_synced(temporary, data)
+        os.replace(temporary, path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
+    _sync_folder(path.parent)
 
 
-def _umask() -> int:
-    """The process's umask, which the system tells only while it is set."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
+def _write_synced(path: Path, data: bytes) -> None:
+    """A new file with its bytes on the disk; on Linux it has no name before it is whole, so that a killed process leaves none."""
+    try:
+        handle = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
+    except (AttributeError, OSError):  # another system, or a file system without it; what is really wrong shows next
+        _filled(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o666), data)
+        return
+    with os.fdopen(handle, "wb") as file:
+        _fill(file, data)
+        # a directory is given so that Python calls linkat, which follows the link in /proc; the path is absolute
+        os.link(f"/proc/self/fd/{file.fileno()}", path, src_dir_fd=file.fileno(), follow_symlinks=True)
+
+
+def _filled(handle: int, data: bytes) -> None:
+    with os.fdopen(handle, "wb") as file:
+        _fill(file, data)
+
+
+def _fill(file: BinaryIO, data: bytes) -> None:
+    file.write(data)
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    """The folder's new entry on the disk as well, where a folder can be opened."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -129,14 +129,20 @@ def measure_files(
         If no file can be read.
     """
     asked = asked or Asked(role)
-    captures = FileCaptures({"": [str(path) for path in paths]}, lambda _, file: _cropped(read(Path(file)), asked))
-    measure = _series if asked.role in SERIES_ROLES else _one_by_one
-    result = measure(paths, captures, asked, progress)
+    result = try_files(paths, read=read, asked=asked, progress=progress)
     if not result.files:
         path, reason = result.skipped[0]
         more = f" ({len(result.skipped)} files, all refused)" if len(result.skipped) > 1 else ""
         raise InputError(f"{path}: {reason}{more}")
-    if asked.role is not None and not any(m.family != "plane" for _, m in result.metrics):
+    return result
+
+
+def try_files(paths: Sequence[Path], *, read: Reader, asked: Asked, progress: Progress | None = None) -> FileMeasurement:
+    """As `measure_files`, with all files in ``skipped`` where none can be read."""
+    captures = FileCaptures({"": [str(path) for path in paths]}, lambda _, file: _cropped(read(Path(file)), asked))
+    measure = _series if asked.role in SERIES_ROLES else _one_by_one
+    result = measure(paths, captures, asked, progress)
+    if result.files and asked.role is not None and not any(m.family != "plane" for _, m in result.metrics):
         reasons = "; ".join(result.notes[:3]) or "no reason was given"
         return replace(result, empty=f"role {asked.role} gave no number: {reasons}")
     return result

@@ -234,6 +234,7 @@ def _parsed_again(parser: argparse.ArgumentParser, words: list[str]) -> argparse
         raise InputError(f"the result's command is not understood: {_shown(words)}: {reason}") from None
     args.output = None
     args.parser = parser
+    args.fresh = True  # measured again, not looked up in a store
     return args
 
 

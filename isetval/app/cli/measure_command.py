@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from isetval.app.cli.batch_measure import add_batch_options, is_batch, measure_batch
 from isetval.app.cli.console import Console
 from isetval.app.cli.outcome import BAD_INPUT, FINE, OUTSIDE_LIMITS, PAGE_SUFFIXES, Outcome
 
@@ -57,6 +58,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         "--curves", action="store_true", help="SFR, edge profiles, photon transfer, fall-off in the JSON (measures again)"
     )
     p.add_argument("--open", action="store_true", help="open the page that -o wrote")
+    add_batch_options(p)
     p.set_defaults(handler=measure, writes_result=True, suffixes=PAGE_SUFFIXES)
 
 
@@ -90,7 +92,9 @@ def measure(args: argparse.Namespace, console: Console) -> Outcome:
 
     limits = load_limits(args.limits) if args.limits else ()
     raw = _raw_settings(args)
-    if len(args.paths) == 1 and raw is None and args.role is None and _is_campaign(args.paths[0]):
+    if is_batch(args):
+        outcome = measure_batch(args, console, raw)
+    elif len(args.paths) == 1 and raw is None and args.role is None and _is_campaign(args.paths[0]):
         outcome = _measure_campaign(args, console)
     else:
         outcome = _measure_files(args, console, raw)

@@ -33,6 +33,9 @@ MOST_UNEVEN = 6  # of 24 patches, ours: a quarter may be dirty, shaded or half c
 BORDER_STEP = 18  # of 255 after gamma, ours: neighbours of the chart that differ least (neutral 3.5, black) are 33 apart in sRGB
 SEARCH_PITCHES = 0.55  # half side of the region searched round each centre: to the middle of the gap and a bit
 MIDDLE_PITCHES = 0.15  # half side of a patch's middle: on the patch even where the found grid is off by a quarter of a pitch
+LEAST_PICTURE_PX = (40, 60)  # shorter and longer side: 4 x 6 patches of 10 px; the detector finds 15 and misses 9
+LEAST_CONTRAST = 2.0  # of a picture's blocks: white over black is 29 on the chart, 2.1 under veiling glare of 80 % of white
+BLOCK_PX = 5  # a patch of 15 px holds one whatever the phase, and noise is averaged over 25 pixels
 ROUNDS = 4  # of the refined grid: the third moves it by 1e-5 pitch where the found one was off by .07
 
 
@@ -94,7 +97,7 @@ def find_chart(capture: Capture) -> FoundChart:
             continue
         tried.append((bin_px, gapped))
         linear = preview(capture, bin_px)
-        if min(linear.shape[:2]) < 40:
+        if not may_hold_chart(linear):
             continue
         for percentile in PERCENTILES:
             found = _find_in(linear, percentile, bin_px, gapped=gapped)
@@ -105,6 +108,15 @@ def find_chart(capture: Capture) -> FoundChart:
     if best is None or best.score < LEAST_SCORE:
         raise MeasurementError(_refusal(capture, tried, best))
     return best
+
+
+def may_hold_chart(linear: Float) -> bool:
+    """Whether a binned picture is large enough for 24 patches and not a flat field: the detector takes seconds to find out."""
+    if any(side < least for side, least in zip(sorted(linear.shape[:2]), LEAST_PICTURE_PX, strict=True)):
+        return False
+    rows, cols = (n // BLOCK_PX for n in linear.shape[:2])
+    green = linear[: rows * BLOCK_PX, : cols * BLOCK_PX, 1].reshape(rows, BLOCK_PX, cols, BLOCK_PX).mean(axis=(1, 3))
+    return bool(green.max() > LEAST_CONTRAST * green.min())
 
 
 def _refusal(capture: Capture, tried: list[tuple[int, bool]], best: FoundChart | None) -> str:
