@@ -23,7 +23,7 @@ Float = NDArray[np.float64]
 DEFAULT_WAVELENGTH_NM = np.arange(380.0, 741.0, 5.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CameraModel:
     """A sensor and its effects, in the order in which light and charge meet them.
 
@@ -44,6 +44,11 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         check_chain(self.name, self.effects)
+
+    def __repr__(self) -> str:
+        s = self.sensor
+        names = ", ".join(effect.name for effect in self.effects)
+        return f"CameraModel({self.name}: {s.rows} x {s.cols} px of {s.pixel_um:g} um, {s.cfa}; {names})"
 
     def effect(self, name: str) -> Effect | None:
         """The first effect of that name, or None."""

@@ -170,7 +170,7 @@ class Shot:
             object.__setattr__(self, "window", Window.of(self.window))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Campaign:
     """A plan and, per shot, its captures (frame index = position; none at all: a plan).
 
@@ -204,6 +204,12 @@ class Campaign:
                 raise InputError(f"shot {shot.name}: light {shot.light!r} is not described; the campaign has: {known}")
             if shot.repeat_of is not None and shot.repeat_of not in names:
                 raise InputError(f"shot {shot.name}: repeat_of names {shot.repeat_of!r}, which is no shot of this campaign")
+
+    def __repr__(self) -> str:
+        roles = Counter(shot.role for shot in self.shots)
+        said = ", ".join(f"{count} {role}" for role, count in roles.items())
+        kind = "a plan" if self.is_plan else "with captures"
+        return f"Campaign({self.name}: {len(self.shots)} shots ({said}), sessions {', '.join(self.sessions)}, {kind})"
 
     @property
     def is_plan(self) -> bool:

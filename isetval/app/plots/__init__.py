@@ -20,6 +20,7 @@ _NAMES = {
     "plot_edges": "isetval.app.plots.edges",
     "plot_fixed_pattern": "isetval.app.plots.noise",
     "plot_focus_curve": "isetval.app.plots.edges",
+    "plot_frame": "isetval.app.plots.edges",
     "plot_identifiability": "isetval.app.plots.loop",
     "plot_illumination_residuals": "isetval.app.plots.shading",
     "plot_lens_profile": "isetval.app.plots.edges",
