@@ -132,7 +132,16 @@ def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotS
         value = values.get(prior.unknown(shot).label, 0.0)
         if value:
             nuisance[prior.parameter] = nuisance.get(prior.parameter, 0.0) + value
+    drift = nuisance.pop("light_drift", 0.0)
+    if drift:
+        nuisance["light_level"] = (1 + nuisance.get("light_level", 0.0)) * (1 + drift * time_in_session(plan, shot)) - 1
     return ShotSetup(shot, plan.lights.get(shot.light or ""), nuisance)
+
+
+def time_in_session(plan: Campaign, shot: Shot) -> float:
+    """When a shot was taken in its measurement session, from -1/2 (first of its light) to 1/2 (last), by the plan's order."""
+    series = [s.name for s in plan.shots if s.measurement_session == shot.measurement_session and s.light == shot.light]
+    return series.index(shot.name) / max(len(series) - 1, 1) - (0.5 if len(series) > 1 else 0.0)
 
 
 def draw_nuisances(plan: Campaign, seed: int) -> dict[str, float]:

@@ -150,12 +150,24 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class ChartTarget:
-    """Uniform patches on a uniform surround; ``margin_px`` is cut from each box before it is measured."""
+    """Uniform patches on a uniform surround; ``margin_px`` is cut from each box before it is measured.
+
+    ``outline`` (row0, row1, col0, col1) in the window is where the chart ends and its ``background`` begins, to which no
+    border is set (None: the surround has no end).
+    """
 
     name: str
     patches: tuple[Patch, ...] = ()
     surround: Spectrum = field(default_factory=lambda: Spectrum.flat(0.1))
     margin_px: int = 4
+    background: Spectrum | None = None
+    outline: RoiLike | None = None
+
+    def __post_init__(self) -> None:
+        if (self.background is None) != (self.outline is None):
+            raise InputError(f"target {self.name}: background and outline belong together; state both or neither")
+        if self.outline is not None:
+            object.__setattr__(self, "outline", Roi.of(self.outline))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +209,10 @@ class Scene:
         Relative rise of the target's brightness from its middle to the border of the window.
     target_bow : (xx, yy, xy)
         Relative rise of the target's brightness with the squares and the product of both, 1 at the border.
+    target_shift_px : (x, y)
+        Shift of a chart's picture to higher columns and rows.
+    surround : float
+        Reflectance added to all that lies around patches and edges.
     black : float
         Reflectance added to black elements (the dark side of an edge).
     ambient : (bands,)
@@ -215,6 +231,8 @@ class Scene:
     radial: float = 0.0
     target_tilt: tuple[float, float] = (0.0, 0.0)
     target_bow: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    target_shift_px: tuple[float, float] = (0.0, 0.0)
+    surround: float = 0.0
     black: float = 0.0
     ambient: Float | None = None
     gloss: float = 0.0

@@ -143,12 +143,15 @@ def _edge(target: EdgeTarget, name: str, spectra: Spectra) -> dict[str, Any]:
 
 
 def _chart(target: ChartTarget, name: str, spectra: Spectra) -> dict[str, Any]:
-    return {
+    table: dict[str, Any] = {
         "kind": "chart",
         "surround": spectra.reference(target.surround, f"{name}_surround"),
         "margin_px": target.margin_px,
-        "patch": _patches(target.patches, name, spectra),
     }
+    if target.background is not None and target.outline is not None:
+        table["background"] = spectra.reference(target.background, f"{name}_background")
+        table["outline"] = list(target.outline)
+    return table | {"patch": _patches(target.patches, name, spectra)}
 
 
 def _patches(patches: tuple[Patch, ...], name: str, spectra: Spectra) -> Any:

@@ -17,6 +17,7 @@ from isetval.files.shot_grouping import ShotGroup
 LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
+BOW_SHARE = 0.25  # of the tilt's width: ratios of black bodies 2700 to 3000 K and 5500 to 6500 K bend by .14 to .26 of their tilt
 DARK_SIDE_PX = 256  # 65 536 pixels give read noise to .3 %
 
 
@@ -79,6 +80,9 @@ def light_priors(
         width = 0.2 if light.column == "E" else 0.05
         words = f"CHECK: {light.name} is taken for {light.column}; .02 once its spectrum is measured"
         out.append(DraftPrior("spectrum_tilt", width, "relative per 100 nm", "measurement session", words, (), (light.name,)))
+        words = "and its bend, on the same grounds"
+        bow = BOW_SHARE * width
+        out.append(DraftPrior("spectrum_bow", bow, "relative per (100 nm)^2", "measurement session", words, (), (light.name,)))
     return out
 
 

@@ -15,7 +15,7 @@ _EDGE_KEYS = (
     "kind", "angle_deg", "orientation", "offset_px", "dark_side", "dark_reflectance", "bright_reflectance",
     "surround", "roi", "notes",
 )  # fmt: skip
-_CHART_KEYS = ("kind", "patch", "surround", "reflectance", "margin_px", "notes")
+_CHART_KEYS = ("kind", "patch", "surround", "reflectance", "margin_px", "background", "outline", "notes")
 _SCENE_KEYS = ("kind", "file", "patch", "line", "notes")
 
 
@@ -62,6 +62,8 @@ def _chart(name: str, entry: Mapping[str, Any], where: str, path: Path) -> Chart
         patches=_patches(entry, where, path, table),
         surround=_reflectance(entry.get("surround", 0.1), where, path),
         margin_px=int(number(entry, "margin_px", where, 4)),
+        background=_reflectance(entry["background"], where, path) if "background" in entry else None,
+        outline=_box(entry, "outline", where) if "outline" in entry else None,
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from isetval.core.campaign import Light, Shot
 from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Scene
+from isetval.core.sensor import RoiLike
 from isetval.core.signal import Layer, Signal, Transfer
 from isetval.scenes.pictures import HALO_PX, SpectralPicture, wavelength_nodes
 
@@ -26,7 +29,9 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
     if shot.role == "dark":
         white = np.zeros_like(wavelength_nm)
     level = shot.light_level * max(0.0, 1 + context.get("light_level"))
-    spectrum = 1 + context.get("spectrum_tilt") * (wavelength_nm - 550.0) / 100.0
+    step = (wavelength_nm - 550.0) / 100.0
+    spectrum = 1 + context.get("spectrum_tilt") * step + context.get("spectrum_bow") * step**2
+    level *= 1.0 if shot.target is None else _at_window(context)
     return Scene(
         wavelength_nm=wavelength_nm,
         white=white * level * np.maximum(spectrum, 0),
@@ -36,9 +41,30 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
         radial=context.get("light_radial"),
         target_tilt=(context.get("target_tilt_x"), context.get("target_tilt_y")),
         target_bow=(context.get("target_bow_x"), context.get("target_bow_y"), context.get("target_twist")),
+        target_shift_px=(context.get("chart_shift_x_px"), context.get("chart_shift_y_px")),
+        surround=context.get("surround_reflectance"),
         black=context.get("dark_reflectance"),
         parameters={"wall_albedo": context.get("wall_albedo")},
     )
+
+
+def _at_window(context: Context) -> float:
+    """Relative light on a target by the place of its window's middle in the field."""
+    tilt_x, tilt_y = context.get("window_tilt_x"), context.get("window_tilt_y")
+    if not (tilt_x or tilt_y):
+        return 1.0
+    row0, col0, rows, cols = context.shot_window or context.window
+    sensor = context.sensor
+    half = math.hypot(sensor.rows, sensor.cols) / 2
+    x, y = (col0 + (cols - sensor.cols) / 2) / half, (row0 + (rows - sensor.rows) / 2) / half
+    lab_x, lab_y = _in_lab(x, y, context)
+    return max(0.0, float(1 + tilt_x * lab_x + tilt_y * lab_y))
+
+
+def _in_lab(x: Any, y: Any, context: Context) -> tuple[Any, Any]:
+    """Places on the sensor, turned with the camera."""
+    turn = np.deg2rad(context.rotation_deg)
+    return np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
 
 
 def _moved(target: Any, context: Context) -> Any:
@@ -70,7 +96,16 @@ def planar_radiance(scene: Scene, context: Context) -> Signal:
         raise InputError(f"target {scene.target.name}: not a planar target; it needs the renderer")
     if scene.ambient is not None:
         layers.append(Layer(scene.ambient[:, None, None]))
-    return Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm)
+    signal = Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm)
+    if not any(scene.target_shift_px) or not isinstance(scene.target, ChartTarget):
+        return signal
+    right, down = scene.target_shift_px
+    return signal.blurred(partial(_shifted, right_px=right, down_px=down))  # type: ignore[arg-type]
+
+
+def _shifted(fx: Float, fy: Float, wavelength_nm: Float, *, right_px: float, down_px: float) -> NDArray[np.complex128]:
+    """Transfer function of a picture shifted to higher columns and rows."""
+    return np.asarray(np.exp(-2j * np.pi * (fx * right_px + fy * down_px)))
 
 
 def mean_radiance(scene: Scene) -> Float:
@@ -78,9 +113,10 @@ def mean_radiance(scene: Scene) -> Float:
     target = scene.target
     if isinstance(target, EdgeTarget):
         sides = (target.dark_reflectance.at(scene.wavelength_nm) + target.bright_reflectance.at(scene.wavelength_nm)) / 2
-        mean = scene.white * (sides if target.surround is None else target.surround.at(scene.wavelength_nm))
+        mean = scene.white * ((sides if target.surround is None else target.surround.at(scene.wavelength_nm)) + scene.surround)
     elif isinstance(target, ChartTarget):
-        mean = scene.white * target.surround.at(scene.wavelength_nm)
+        around = target.surround if target.background is None else target.background
+        mean = scene.white * (around.at(scene.wavelength_nm) + scene.surround)
     else:
         mean = scene.white
     return mean if scene.ambient is None else mean + scene.ambient
@@ -93,8 +129,7 @@ def light_field(scene: Scene, context: Context) -> Float:
     x, y = context.xy_mm()
     unit = context.sensor.half_diagonal_mm
     x, y = x / unit, y / unit
-    turn = np.deg2rad(context.rotation_deg)
-    lab_x, lab_y = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+    lab_x, lab_y = _in_lab(x, y, context)
     field = 1 + scene.tilt[0] * lab_x + scene.tilt[1] * lab_y + scene.radial * (x**2 + y**2)
     return np.asarray(field[None])
 
@@ -114,13 +149,23 @@ def _chart(scene: Scene, target: ChartTarget, context: Context) -> SpectralPictu
     """The chart's reflectances, with a halo of its surroundings for blur."""
     rows, cols = context.window[2:]
     top, left = (int(place.flat[0]) - HALO_PX for place in context.place_in_shot())
-    table = [scene.reflectance(target.surround)]
+    table = [np.maximum(scene.reflectance(target.surround) + scene.surround, 0)]
     table += [scene.reflectance(patch.reflectance) + scene.gloss for patch in target.patches]
+    boxes = [patch.box for patch in target.patches]
     label = np.zeros((rows + 2 * HALO_PX, cols + 2 * HALO_PX), np.intp)
-    for number, patch in enumerate(target.patches, 1):
-        row0, row1, col0, col1 = patch.box
-        label[max(row0 - top, 0) : max(row1 - top, 0), max(col0 - left, 0) : max(col1 - left, 0)] = number
+    if target.background is not None and target.outline is not None:
+        table.append(np.maximum(scene.reflectance(target.background) + scene.surround, 0))
+        label[:] = len(table) - 1
+        _fill(label, target.outline, 0, top, left)
+    for number, box in enumerate(boxes, 1):
+        _fill(label, box, number, top, left)
     return SpectralPicture.of_labels(label, np.array(table).T, HALO_PX)
+
+
+def _fill(label: NDArray[np.intp], box: RoiLike, number: int, top: int, left: int) -> None:
+    """Write ``number`` into a box of the shot's window; ``label`` begins at row ``top``, column ``left`` of it."""
+    row0, row1, col0, col1 = box
+    label[max(row0 - top, 0) : max(row1 - top, 0), max(col0 - left, 0) : max(col1 - left, 0)] = number
 
 
 def _edge_layers(scene: Scene, context: Context) -> list[Layer]:
