@@ -8,27 +8,40 @@ from pathlib import Path
 from typing import Any
 
 from isetval.camera.model import CameraModel
+from isetval.camera.plugins import load_plugin
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor
-from isetval.core.toml import check_keys, named_file, number, read_toml, resolve_path, text, texts
+from isetval.core.toml import (
+    PACKAGE_PREFIX,
+    check_keys,
+    data_folder,
+    inside,
+    named_file,
+    number,
+    read_toml,
+    resolve_path,
+    text,
+    texts,
+)
 
 _SENSOR_KEYS = ("rows", "cols", "pixel_um", "cfa", "black_dn", "white_dn", "bits")
 _STEP_KEYS = ("sigma", "provenance")
 
 
 def load_model(path: Path | str) -> CameraModel:
-    """Read a camera model (``camera.toml``).
+    """Read a camera model (``camera.toml``): a file, its folder, or ``isetval:NAME`` (`isetval cameras`).
 
     Raises
     ------
     InputError
         For a missing file, unknown keys or effects, values out of bounds or a badly ordered chain.
     """
-    path = Path(path)
-    if path.is_dir():
-        path = path / "camera.toml"
-    table = check_keys(read_toml(path), str(path), known=("name", "sensor", "effect", "notes"), needed=("sensor", "effect"))
+    path = model_path(path)
+    known = ("name", "sensor", "effect", "notes", "plugin")
+    table = check_keys(read_toml(path), str(path), known=known, needed=("sensor", "effect"))
+    if "plugin" in table:
+        load_plugin(text(table, "plugin", str(path)), path)
     sensor = read_sensor(table["sensor"], f"{path}: [sensor]")
     if not isinstance(table["effect"], list):
         raise InputError(f"{path}: effect is {table['effect']!r}; write each effect as its own [[effect]] table")
@@ -37,6 +50,30 @@ def load_model(path: Path | str) -> CameraModel:
         return CameraModel(text(table, "name", str(path), path.stem), sensor, effects, path=path)
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+
+
+def model_path(name: Path | str) -> Path:
+    """The file of a camera model that a person names: a file, its folder, or ``isetval:NAME`` of an embedded camera.
+
+    Raises
+    ------
+    InputError
+        For an embedded camera that does not exist.
+    """
+    words = str(name)
+    if not words.startswith(PACKAGE_PREFIX):
+        path = Path(name)
+        return path / "camera.toml" if path.is_dir() else path
+    path = inside(data_folder(), words.removeprefix(PACKAGE_PREFIX))
+    path = path / "camera.toml" if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(f"{words}: is no embedded camera; there are: {', '.join(embedded_cameras())} (isetval cameras)")
+    return path
+
+
+def embedded_cameras() -> tuple[str, ...]:
+    """Names of the embedded camera models, each as ``isetval:NAME``."""
+    return tuple(f"{PACKAGE_PREFIX}{path.parent.name}" for path in sorted(data_folder().glob("*/camera.toml")))
 
 
 def read_sensor(table: Any, where: str) -> Sensor:

@@ -45,6 +45,8 @@ def save_model(model: FiledCamera, path: Path | str, *, steps: Mapping[str, Mapp
         document = tomlkit.document()
         document["sensor"] = _sensor_table(model.sensor)
     document["name"] = model.name
+    if "plugin" in document and model.path is not None:
+        document["plugin"] = _beside(resolve_path(str(document["plugin"]), model.path.parent), path.parent)
     old = list(document.get("effect", []))
     tables = tomlkit.aot()
     for effect in model.effects:

@@ -1,8 +1,9 @@
 """Results by the content that made them: one hash, arrays in memory and in the user's cache folder, a store of vectors.
 
-The folder is ``$ISETVAL_CACHE`` (``off``: none), else ``$XDG_CACHE_HOME/isetval``, else ``~/.cache/isetval`` (XDG Base
-Directory Specification 0.8).  Files are written whole or not at all; a file that cannot be read counts
-as absent; a folder that cannot be written means that nothing is kept, never that a result is lost.
+The folder is ``$ISETVAL_CACHE`` (``off``: none), else where the system keeps caches: ``$XDG_CACHE_HOME/isetval`` or
+``~/.cache/isetval`` (XDG Base Directory Specification 0.8), ``~/Library/Caches/isetval``, ``%LOCALAPPDATA%/isetval/Cache``.
+Files are written whole or not at all; a file that cannot be read counts as absent; a folder that cannot be written means
+that nothing is kept, never that a result is lost.
 """
 
 from __future__ import annotations
@@ -131,9 +132,9 @@ def cache_folder() -> Path:
         return Path(os.devnull) / "isetval"  # nothing can be written there, so nothing is kept
     if own:
         return Path(own).expanduser()
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
-    return root / "isetval"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("isetval", appauthor=False)
 
 
 def _written(path: Path, data: bytes) -> bool:
@@ -221,11 +222,22 @@ FORMAT = 1  # of the file; a new one makes all stored numbers stale
 MAX_BYTES = 64_000_000  # of one plan: a bound on the room that a store takes on the user's disk
 
 
+_further_code: set[Path] = set()
+
+
+def add_code(path: Path) -> None:
+    """Count a file of code that is not the package's own (a plugin) as part of what makes numbers."""
+    _further_code.add(path.resolve())
+    code_hash.cache_clear()
+
+
 @lru_cache(maxsize=1)
 def code_hash() -> str:
-    """SHA-256 of the package's own source: a changed line of code makes all stored numbers stale."""
+    """SHA-256 of the source, the package's and `add_code`'s: a changed line of code makes all stored numbers stale."""
     package = Path(__file__).resolve().parents[1]
-    return content_hash([(path.relative_to(package).as_posix(), file_hash(path)) for path in sorted(package.rglob("*.py"))])
+    further = [(str(path), file_hash(path)) for path in sorted(_further_code)]
+    own = [(path.relative_to(package).as_posix(), file_hash(path)) for path in sorted(package.rglob("*.py"))]
+    return content_hash(own + further)
 
 
 class Store:

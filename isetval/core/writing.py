@@ -12,7 +12,7 @@ from isetval.core.errors import InputError
 
 
 def write_whole(path: Path | str, content: str | bytes) -> None:
-    """Write a file whole or not at all.
+    """Write a file whole or not at all; text as UTF-8, what a file name holds beside Unicode as escapes.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def write_whole(path: Path | str, content: str | bytes) -> None:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file to write")
     try:
-        replace_whole(path, content.encode("utf-8") if isinstance(content, str) else content)
+        replace_whole(path, content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists and is writable") from None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from importlib.metadata import entry_points
 from types import MappingProxyType
@@ -13,6 +13,13 @@ from isetval.core.effect import STAGES, Effect
 from isetval.core.errors import InputError
 
 ENTRY_POINTS = "isetval.effects"
+_plugged: dict[type[Effect], str] = {}
+
+
+def plug_in(effects: Iterable[type[Effect]], origin: str) -> None:
+    """Put further effects into the catalogue; ``origin`` says where they come from."""
+    _plugged.update(dict.fromkeys(effects, origin))
+    catalogue.cache_clear()
 
 
 @lru_cache(maxsize=1)
@@ -20,7 +27,7 @@ def catalogue() -> Mapping[str, type[Effect]]:
     """Effect classes by their stable name, along the light path.
 
     Classes come from the modules of this package and from the entry points of the group
-    ``isetval.effects`` of installed packages (each naming one class).
+    ``isetval.effects`` of installed packages (each naming one class), and from `plug_in`.
 
     Raises
     ------
@@ -28,7 +35,7 @@ def catalogue() -> Mapping[str, type[Effect]]:
         If an extension cannot be loaded, is no effect, or takes a name that is in use.
     """
     found: dict[str, type[Effect]] = {}
-    for cls, origin in [*_own(), *_installed()]:
+    for cls, origin in [*_own(), *_installed(), *_plugged.items()]:
         if cls.name in found and found[cls.name] is not cls:
             raise InputError(f"{origin}: the effect name {cls.name!r} is in use by {found[cls.name].__module__}; rename it")
         found[cls.name] = cls

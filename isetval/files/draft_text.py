@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Mapping
 from textwrap import wrap
 
+from isetval.core.errors import InputError
 from isetval.files.draft_types import Draft, DraftLight, DraftPrior, DraftShot, DraftTarget
 
 WIDTH = 118
@@ -38,7 +39,16 @@ def comment(text: str, *, indent: str = "# ") -> list[str]:
 
 
 def quoted(text: str) -> str:
-    """A TOML string: JSON's escapes are TOML's, but for the control character that JSON leaves as it is."""
+    """A TOML string: JSON's escapes are TOML's, but for the control character that JSON leaves as it is.
+
+    Raises
+    ------
+    InputError
+        For the name of a file that is no Unicode: TOML cannot hold it.
+    """
+    if any("\ud800" <= c <= "\udfff" for c in text):
+        shown = text.encode("utf-8", "backslashreplace").decode()
+        raise InputError(f"{shown}: the name is not UTF-8, and a campaign.toml cannot name it; rename the file")
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,22 +74,56 @@ def _run(args: argparse.Namespace, words: list[str], console: Console) -> int:
     if not args.verbose:
         warnings.simplefilter("ignore")
     _check_output(args.output, (*RESULT_SUFFIXES, *args.suffixes) if args.writes_result else args.suffixes)
-    outcome: Outcome = args.handler(args, console)
+    with _plugins(args.allow_plugin):
+        outcome = _outcome(args, console)
+    if args.dry_run:
+        console.show(outcome.lines)
+        _print_json(args, outcome.result)
+        return outcome.code
     result = _with_provenance(outcome, words)
     if args.output is not None and args.writes_result:
         _write(args.output, result, outcome)
         console.note(f"written: {args.output}")
-        if getattr(args, "open", False):
-            import webbrowser
-
-            webbrowser.open(Path(args.output).resolve().as_uri())
     console.show(outcome.lines)
+    _print_json(args, result)
+    if getattr(args, "open", False):
+        _open(args.output if args.writes_result else outcome.result.get("page") or outcome.result.get("report"))
+    return outcome.code
+
+
+def _plugins(allow: bool) -> contextlib.AbstractContextManager[None]:
+    """Where a person allowed it, model files may run the programs that they name."""
+    if not allow:
+        return contextlib.nullcontext()
+    from isetval.camera.plugins import plugins_allowed
+
+    return plugins_allowed()
+
+
+def _outcome(args: argparse.Namespace, console: Console) -> Outcome:
+    """What the command's handler gives, or what it would do."""
+    if args.dry_run and not getattr(args, "tells_dry_run", False):
+        from isetval.app.cli.dry_run import dry_run
+
+        return dry_run(args, console)
+    outcome: Outcome = args.handler(args, console)
+    return outcome
+
+
+def _print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:
     if args.json:
         import json
 
-        print(json.dumps(result, indent=1, allow_nan=False))
+        print(json.dumps(plain(result), indent=1, allow_nan=False))
         sys.stdout.flush()
-    return outcome.code
+
+
+def _open(page: str | None) -> None:
+    """Show a page in the person's browser."""
+    if page is not None:
+        import webbrowser
+
+        webbrowser.open(Path(page).resolve().as_uri())
 
 
 def _with_provenance(outcome: Outcome, words: list[str]) -> dict[str, Any]:

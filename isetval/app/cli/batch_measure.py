@@ -24,7 +24,7 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
         "With one of these each file (darks and flats: the files of each folder) is measured by itself, with its own black "
         "level, and what was measured is stored: after any interruption the same command goes on where it was.",
     )
-    many.add_argument("--jobs", type=int, metavar="N", help="N processes of this machine")
+    many.add_argument("-j", "--jobs", type=int, metavar="N", help="N processes of this machine")
     many.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, as tcp://host:8786 (extra 'cluster')")
     many.add_argument("--scheduler-file", metavar="FILE", help="the JSON file of a dask scheduler (extra 'cluster')")
     many.add_argument("--store", metavar="DIR", type=Path, help="where records are kept, by content (default: the user's cache)")

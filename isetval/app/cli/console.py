@@ -8,7 +8,9 @@ import sys
 import threading
 import time
 from collections.abc import Iterable
+from functools import lru_cache
 from types import TracebackType
+from typing import TextIO
 
 PATIENCE_S = 2.0  # what takes longer is told
 TICK_S = 0.25  # a line that is alive, at next to no cost
@@ -54,13 +56,13 @@ class Console:
         self._clear()
         stream = sys.stderr if self.json else sys.stdout
         for line in lines:
-            print(self._styled(line, stream.isatty()), file=stream)
+            print(self._styled(line, stream), file=stream)
 
     def note(self, text: str) -> None:
         """A line for people beside the result."""
         if not self.quiet:
             self._clear()
-            print(text, file=sys.stderr)
+            print(harmless(text), file=sys.stderr)
 
     def say(self, text: str) -> None:
         """A step has begun: its name stands on the progress line once it takes longer than two seconds."""
@@ -91,19 +93,19 @@ class Console:
     def ask(self, question: str) -> bool:
         """Whether the person answers yes."""
         self._clear()
-        sys.stderr.write(question)
+        sys.stderr.write(harmless(question))
         sys.stderr.flush()
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
     def error(self, text: str) -> None:
         """One sentence on what went wrong; never silenced."""
         self._clear()
-        print(f"isetval: {text}", file=sys.stderr)
+        print(f"isetval: {harmless(text)}", file=sys.stderr)
 
     def _tick(self) -> None:
-        terminal = sys.stderr.isatty()
+        terminal = understands_escapes(sys.stderr)
         while not self._stop.wait(TICK_S if terminal else LOG_S):
-            line = self._line()
+            line = harmless(self._line()).replace("\n", " ")
             if line and terminal:
                 width = shutil.get_terminal_size().columns - 1
                 sys.stderr.write(f"\r\x1b[K{line[:width]}")
@@ -129,12 +131,45 @@ class Console:
             sys.stderr.flush()
             self._shown = False
 
-    def _styled(self, line: str, terminal: bool) -> str:
+    def _styled(self, line: str, stream: TextIO) -> str:
         """Lines that begin with ``# `` are headings: bold on a terminal, plain elsewhere."""
+        line = harmless(line)
         if not line.startswith("# "):
             return line
-        bold = terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+        bold = not os.environ.get("NO_COLOR") and understands_escapes(stream)
         return f"\x1b[1m{line[2:]}\x1b[0m" if bold else line[2:]
+
+
+def harmless(text: str) -> str:
+    """Text without what a terminal would act on: control characters, of file names and tags too, are shown as escapes.
+
+    Line breaks and tabs stay; so do letters of every script.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def understands_escapes(stream: TextIO) -> bool:
+    """Whether a stream is a terminal that moves and colours by escape sequences; older Windows consoles have to be asked to."""
+    if not stream.isatty() or os.environ.get("TERM") == "dumb":
+        return False
+    return os.name != "nt" or _windows_escapes(stream)
+
+
+@lru_cache(maxsize=4)
+def _windows_escapes(stream: TextIO) -> bool:
+    """Switch a Windows console to escape sequences (ENABLE_VIRTUAL_TERMINAL_PROCESSING, Windows 10 and later)."""
+    import ctypes
+
+    kernel = getattr(ctypes, "windll", None)
+    if kernel is None:
+        return False
+    handle = kernel.kernel32.GetStdHandle(-12 if stream is sys.stderr else -11)
+    mode = ctypes.c_uint32()
+    if not kernel.kernel32.GetConsoleMode(handle, ctypes.byref(mode)):
+        return False
+    return bool(kernel.kernel32.SetConsoleMode(handle, mode.value | 0x0004))
 
 
 def seconds_words(seconds: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.cli.tables import text_table
@@ -80,7 +81,7 @@ def metric_lines(metrics: Sequence[Metric], *, files: Sequence[str], brief: bool
                 "" if m.frequency_cy_px is None else f"{m.frequency_cy_px:g} cy/px",
                 with_sigma(m.value, m.sigma, m.unit),
                 m.reason,
-                f.rsplit("/", 1)[-1] if brief else "",
+                PurePath(f).name if brief else "",
             )
             for m, f in rest
         ]

@@ -24,7 +24,10 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "names", nargs="*", metavar="EFFECT", help="only these, with their text; or words to search names and texts for"
     )
-    p.set_defaults(handler=effects, writes_result=True)
+    p.add_argument(
+        "--stage", default="electronics", help="of new: optics, pixel, exposure, electronics or file (default: %(default)s)"
+    )
+    p.set_defaults(handler=effects, writes_result=True, tells_dry_run=True)
     p = commands.add_parser("doctor", parents=[common], help="what is installed, which renderer is used and why")
     p.set_defaults(handler=doctor, writes_result=True)
     lens = commands.add_parser("lens", help="lens files: audit").add_subparsers(metavar="ACTION", required=True)
@@ -44,6 +47,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.set_defaults(handler=lens_audit, writes_result=True)
     p = commands.add_parser("report", parents=[common], help="results -> one self-contained page", description=report.__doc__)
     p.add_argument("results", nargs="+", metavar="RESULT", type=Path, help="JSON results of measure, compare, diagnose, demo")
+    p.add_argument("--open", action="store_true", help="open the page")
     p.set_defaults(handler=report, writes_result=False, suffixes=(".html", ".htm"))
     p = commands.add_parser("rerun", parents=[common], help="the same numbers again, or what moved", description=rerun.__doc__)
     p.add_argument("result", metavar="RESULT", type=Path, help="JSON result written with -o")
@@ -55,9 +59,14 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
 
 
 def effects(args: argparse.Namespace, console: Console) -> Outcome:
-    """List the catalogue of physical effects: name, stage, place in it, parameters with unit and bounds, equation, source."""
+    """List the catalogue of physical effects: name, stage, place in it, parameters with unit and bounds, equation, source.
+
+    ``isetval effects new NAME`` writes NAME.py and test_NAME.py into this folder: an effect that works, to be made yours.
+    """
     from isetval.effects import catalogue
 
+    if args.names[:1] == ["new"] and len(args.names) == 2:
+        return _new_effect(args)
     known = {name: _effect_row(cls) for name, cls in catalogue().items()}
     if not args.names:
         title = f"# {len(known)} effects along the light path (text of one: isetval effects NAME; search: isetval effects WORD)"
@@ -71,6 +80,19 @@ def effects(args: argparse.Namespace, console: Console) -> Outcome:
         if not rows:
             raise _unknown_effect(args.names, known)
     return Outcome({"kind": "effects", "effects": rows}, lines, FINE, {}, _flat(rows))
+
+
+def _new_effect(args: argparse.Namespace) -> Outcome:
+    from isetval.app.cli.effect_scaffold import scaffold
+
+    effect, test = scaffold(args.names[1], stage=args.stage, folder=Path(), write=not args.dry_run)
+    lines = [
+        f"{effect}: an effect that works; change its text, equation and apply",
+        f"{test}: its test: python -m pytest {test}",
+        f'to use it, write plugin = "{effect}" at the top of camera.toml and add --allow-plugin, or name its class in the',
+        "entry-point group isetval.effects of a package of your own",
+    ]
+    return Outcome({"kind": "effects new", "effect": str(effect), "test": str(test)}, lines, FINE)
 
 
 def _effect_table(rows: Iterable[Mapping[str, Any]]) -> list[str]:

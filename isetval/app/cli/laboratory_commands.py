@@ -26,6 +26,7 @@ def register_demo(commands: Any, common: argparse.ArgumentParser) -> None:
         help="the effect to hide, such as your own (default: drawn by the seed; without values at twice its plausible scale)",
     )
     p.add_argument("-j", "--jobs", type=positive, default=default_jobs(), help="worker processes (default: %(default)s)")
+    p.add_argument("--open", action="store_true", help="open the report")
     p.set_defaults(handler=demo, writes_result=False)
 
 
@@ -59,6 +60,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--camera", default="", metavar="MODEL", help="the nominal camera model: a file, or isetval:pixel4a/camera.toml"
     )
+    p.add_argument("--open", action="store_true", help="open the page with the pictures of what was found")
     p.set_defaults(handler=campaign_init, writes_result=False)
     p = actions.add_parser(
         "check", parents=[common], help="what a campaign would measure now", description=campaign_check.__doc__
@@ -104,7 +106,7 @@ def challenge_reveal(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.core.cache import file_hash
     from isetval.loop.model_update import read_result
 
-    truth = args.truth or Path(f"{str(args.folder).rstrip('/')}.truth.json")
+    truth = args.truth or Path(f"{args.folder}.truth.json")
     answer = read_result(args.diagnosis) if args.diagnosis else None
     found = reveal_challenge(args.folder, truth, diagnosis=answer)
     lines = ["the truth is the one that was sealed", f"hidden: {_hidden_words(found.truth)}"]

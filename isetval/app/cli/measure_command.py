@@ -94,7 +94,7 @@ def measure(args: argparse.Namespace, console: Console) -> Outcome:
     raw = _raw_settings(args)
     if is_batch(args):
         outcome = measure_batch(args, console, raw)
-    elif len(args.paths) == 1 and raw is None and args.role is None and _is_campaign(args.paths[0]):
+    elif len(args.paths) == 1 and raw is None and args.role is None and is_campaign(args.paths[0]):
         outcome = _measure_campaign(args, console)
     else:
         outcome = _measure_files(args, console, raw)
@@ -132,7 +132,8 @@ def _with_pages(outcome: Outcome, args: argparse.Namespace, console: Console, dr
     return replace(outcome, result=result, lines=lines, page=page)
 
 
-def _is_campaign(path: Path) -> bool:
+def is_campaign(path: Path) -> bool:
+    """Whether a path is a campaign: its file, its folder, or one with an EMVA 1288 descriptor."""
     from isetval.files.emva_descriptor import find_emva_descriptor
 
     own = (path / "campaign.toml").is_file() or path.suffix.lower() == ".toml"

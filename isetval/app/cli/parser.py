@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from isetval.app.cli.cache_command import register as register_cache
+from isetval.app.cli.completion_command import register as register_completion
 from isetval.app.cli.inspection_commands import register as register_show
 from isetval.app.cli.laboratory_commands import register as register_lab
 from isetval.app.cli.laboratory_commands import register_demo
@@ -29,6 +31,10 @@ def common_options() -> argparse.ArgumentParser:
     common.add_argument("--json", action="store_true", help="result as JSON on stdout, words on stderr")
     common.add_argument("-q", "--quiet", action="store_true", help="nothing but errors and JSON")
     common.add_argument("-v", "--verbose", action="store_true", help="every step, warnings, and where an internal error arose")
+    common.add_argument("--dry-run", action="store_true", help="tell what would be read and written, and do nothing")
+    common.add_argument(
+        "--allow-plugin", action="store_true", help="run the program that a model file names as plugin (read it first)"
+    )
     common.add_argument("-o", "--output", metavar="PATH", help="where to write the result")
     common.set_defaults(suffixes=())  # what -o may end in beside the result's own, or instead of it
     return common
@@ -48,6 +54,14 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"isetval {isetval.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     common = common_options()
-    for group in (register_demo, register_measure, register_loop, register_lab, register_show):
+    for group in (
+        register_demo,
+        register_measure,
+        register_loop,
+        register_lab,
+        register_show,
+        register_cache,
+        register_completion,
+    ):
         group(commands, common)
     return parser

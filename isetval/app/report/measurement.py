@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.plots.panels import figure_bytes, pdf_bytes
@@ -29,7 +30,7 @@ def measurement_html(
     sheets : sequence of Sheet
     """
     made = result.get("provenance", {})
-    name = result.get("campaign") or ", ".join(path.rsplit("/", 1)[-1] for path in list(result.get("files", {}))[:3])
+    name = result.get("campaign") or ", ".join(PurePath(path).name for path in list(result.get("files", {}))[:3])
     return rendered(
         "measurement.html",
         title=f"Measurement of {name or 'files'}",
