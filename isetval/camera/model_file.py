@@ -115,6 +115,7 @@ def make_effect(name: str, values: Mapping[str, Any], where: str, base: Path | N
         For an unknown effect (with the nearest names), an unknown parameter or a value out of bounds.
     """
     from isetval.effects import catalogue
+    from isetval.effects.free_form import PREFIX, free_form
 
     known = catalogue()
     if name not in known:
@@ -124,6 +125,8 @@ def make_effect(name: str, values: Mapping[str, Any], where: str, base: Path | N
         hint = f"; near it: {', '.join(near)}" if near else ""
         raise InputError(f"{where}: effect {name!r} is unknown{hint} (all: isetval effects; search: isetval effects WORD)")
     cls = known[name]
+    if cls.free is not None and any(key.startswith(PREFIX) for key in values):
+        cls = free_form(cls)
     fields = {f.name for f in dataclasses.fields(cls) if f.name != "base"}
     for key in values:
         if key not in fields:

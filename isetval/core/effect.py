@@ -91,6 +91,27 @@ def _files_of(kind: type[Effect]) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(kind) if "file" in f.metadata)
 
 
+@dataclass(frozen=True)
+class FreeAxis:
+    """Along which axis, and how, an effect may be of another form (`isetval.effects.free_form`).
+
+    ``how``: *gain* (its output times 1 + f), *share* (what it changes times 1 + f), *strength* (its amplitudes times 1 + f, one
+    number for each shot) or *transfer* (the contrast that it takes times 1 + f).  ``width`` is the prior standard deviation
+    of f; of a gain at the far end of the axis, for its f starts at 0 with the axis.  ``reach`` names the parameter that is 1 on
+    the axis of levels.
+    """
+
+    axis: str
+    how: Literal["gain", "share", "strength", "transfer"]
+    width: float
+    reach: str = ""
+
+    @property
+    def from_zero(self) -> bool:
+        """Whether f is 0 where the axis is: what a gain has there belongs to the light."""
+        return self.how == "gain" and self.axis != "wavelength"
+
+
 EffectType = TypeVar("EffectType", bound="Effect")
 
 
@@ -107,7 +128,8 @@ class Effect:
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays.  ``forms``
     are the shapes that it may have, by field: a diagnosis weighs them, and shape parameters with a ``tau``, once it is
-    named.  With every parameter at its null it must be the identity, unless it gives another unit than it acts on.
+    named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its null it must be the
+    identity, unless it gives another unit than it acts on.
     """
 
     name: ClassVar[str] = ""
@@ -127,6 +149,7 @@ class Effect:
     must_not_change: ClassVar[tuple[str, ...]] = ()
     uses_mean_irradiance: ClassVar[bool] = False
     forms: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    free: ClassVar[FreeAxis | None] = None
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.sensor import black_at
 from isetval.core.signal import Signal
 
@@ -25,6 +25,7 @@ class Nonlinearity(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 60.0
+    free = FreeAxis("level", "gain", 0.02, reach="well_e")
     equation = "x (1 - a x / FW)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.7 (linearity); second-order term"
     must_not_change = ("dark",)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.signal import Signal
 from isetval.effects.electrons import own, rare_pixels
 
@@ -21,6 +21,7 @@ class DarkCurrent(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 20.0
+    free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + d t"
     reference = "EMVA Standard 1288 Release 4.0, sec. 7 (dark current)"
     must_not_change = ("edge",)
@@ -45,6 +46,7 @@ class TemperatureDrift(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 21.0
+    free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + k n t, n the number of the frame within its shot"
     reference = "EMVA Standard 1288 Release 4.0, sec. 7.3 (temperature dependence); first-order term"
     must_not_change = ("edge",)
@@ -66,6 +68,7 @@ class AmpGlow(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 22.0
+    free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + g t exp(-d / w), d from (x0, y0) in half diagonals"
     reference = (
         "Janesick, Scientific Charge-Coupled Devices (SPIE 2001), ch. 7 (amplifier luminescence); exponential is a convention"
@@ -101,6 +104,7 @@ class HotPixels(Effect):
     rare = True
     step_share = 0.5  # a few hot pixels more or less: only far steps count enough
     order = 24.0
+    free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
     reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context, poisson
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.sensor import plane_position
 from isetval.core.signal import Signal
 
@@ -44,6 +44,7 @@ class GrGbImbalance(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 8.0
+    free = FreeAxis("field radius", "share", 0.5)
     equation = "Gr x (1 + delta), Gb x (1 - delta), delta = center + corner r^2"
     reference = "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006) (green imbalance)"
     must_not_change = ("dark", "edge")

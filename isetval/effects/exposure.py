@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.signal import Signal
 
 
@@ -25,6 +25,7 @@ class ExposureTime(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 10.0
+    free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu x max(0, t (1 + eps) + t0) / t"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.1 (exposure control); shutter offset as in CMOS rolling shutters"
     must_not_change = ("dark", "edge")
@@ -54,6 +55,7 @@ class Flicker(Effect):
     gives = "electron"
     random = "frame"
     order = 20.0
+    free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu x max(0, 1 + sigma z), z one unit normal per frame"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.2 (stability of the light source)"
     must_not_change = ("dark", "edge")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.signal import Signal
 from isetval.effects.pupil import CircularPupil, adjust_pupil, field_point, thin_lens_shift_um
 
@@ -114,6 +114,7 @@ class FieldCurvature(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 12.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "z += kappa r^2, r = 1 at the corner"
     reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 5.3 (Petzval curvature)"
     must_not_change = ("dark", "flat", "illumination")
@@ -138,6 +139,7 @@ class SensorTilt(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 13.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "z += alpha x + beta y, x and y in half diagonals"
     reference = "geometry; Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., ch. 10"
     must_not_change = ("dark", "flat", "illumination")
@@ -185,6 +187,7 @@ class Spherical(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 15.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "W = c sqrt(5) (6 rho^4 - 6 rho^2 + 1), c in waves rms at 550 nm"
     reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z11"
     must_not_change = ("dark", "flat", "illumination")
@@ -208,6 +211,7 @@ class Coma(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 16.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "W = c r sqrt(8) (3 rho^3 - 2 rho) cos(theta), theta from the field radius, r = 1 at the corner"
     reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z7/Z8"
     must_not_change = ("dark", "flat", "illumination")
@@ -232,6 +236,7 @@ class Astigmatism(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 17.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "W = c r^2 sqrt(6) rho^2 cos(2 theta), theta from the field radius, r = 1 at the corner"
     reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z5/Z6"
     must_not_change = ("dark", "flat", "illumination")
@@ -259,6 +264,7 @@ class MotionBlur(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 60.0
+    free = FreeAxis("frequency", "transfer", 0.5)
     equation = "MTF x sinc(l (fx cos phi + fy sin phi))"
     reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., sec. 10.6 (linear motion)"
     must_not_change = ("dark", "flat", "illumination")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.signal import Layer, Signal
 from isetval.effects.pupil import BLUE_NM, GREEN_NM, RED_NM, REFERENCE_NM, field_point
 
@@ -30,6 +30,7 @@ class Cos4(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 30.0
+    free = FreeAxis("field radius", "gain", 0.2)
     equation = "E x cos^(4 + delta)(theta), tan theta = distance from the middle / focal length"
     reference = "Kingslake, Optics in Photography (1992), ch. 7; Born & Wolf, 7th ed., sec. 4.8.1"
     must_not_change = ("dark",)
@@ -61,6 +62,7 @@ class Vignetting(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 32.0
+    free = FreeAxis("field radius", "gain", 0.2)
     equation = "E x (1 - v max(0, (r - r0)/(1 - r0))^2), r = 1 at the corner"
     reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., sec. 8.1 (vignetting); quadratic onset is a convention"
     must_not_change = ("dark",)
@@ -88,6 +90,7 @@ class Decenter(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 34.0
+    free = FreeAxis("field radius", "share", 0.5)
     equation = "E x (1 + a x + b y), x and y in half diagonals"
     reference = "first-order term of a shifted fall-off; Kingslake & Johnson, Lens Design Fundamentals, 2nd ed."
     must_not_change = ("dark",)
@@ -113,6 +116,7 @@ class EtalonRipple(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 36.0
+    free = FreeAxis("field radius", "share", 0.5)
     equation = "E x (1 + a cos(2 pi (550 nm/lambda) (m - n r^2))), m order in the middle, n fringes to the corner"
     reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 7.6 (plane-parallel plate, low reflectance)"
     must_not_change = ("dark", "edge")
@@ -150,6 +154,7 @@ class LateralColor(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 40.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "dx_c = a_c r outwards; a(610) = a_R, a(540) = 0, a(460) = a_B, linear between"
     reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 11 (lateral color)"
     must_not_change = ("dark", "flat", "illumination")
@@ -181,6 +186,7 @@ class Distortion(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 42.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "dr = k1 r^3 outwards, r = 1 at the corner"
     reference = "Brown, Photogrammetric Engineering 32 (1966) 444 (radial term)"
     must_not_change = ("dark", "flat", "illumination")
@@ -227,6 +233,7 @@ class Ghost(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 80.0
+    free = FreeAxis("field radius", "share", 0.5)
     equation = "E += gamma <E> disc(k r)"
     reference = "ISO 18844:2017 (image flare); Kingslake, Optics in Photography (1992), ch. 5 (ghosts)"
     must_not_change = ("dark",)
@@ -256,6 +263,7 @@ class VeilingGlare(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 90.0
+    free = FreeAxis("field radius", "share", 0.5)
     equation = "E += gamma <E>, <E> the mean over the whole field"
     reference = "ISO 18844:2017; ISO 9358:1994"
     must_not_change = ("dark",)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.errors import InputError
 from isetval.core.signal import Signal
 from isetval.effects.pupil import REFERENCE_NM
@@ -45,6 +45,7 @@ class PixelAperture(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 10.0
+    free = FreeAxis("frequency", "transfer", 0.5)
     equation = "MTF x sinc(w fx) sinc(w fy)"
     reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., eq. 10-26 (detector MTF)"
     must_not_change = ("dark", "flat", "illumination")
@@ -68,6 +69,7 @@ class ChargeDiffusion(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 20.0
+    free = FreeAxis("frequency", "transfer", 0.5)
     equation = "MTF x exp(-2 pi^2 sigma^2 f^2), sigma = sigma_c (1 + growth (lambda - 550 nm)/100 nm)"
     reference = "Janesick, Photon Transfer (SPIE 2007), sec. 10; Gaussian kernel is a convention"
     must_not_change = ("dark", "flat", "illumination")
@@ -97,6 +99,7 @@ class Microlens(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 45.0
+    free = FreeAxis("field radius", "share", 0.5)
     equation = "mu_c x (1 - m_c r^2), r = 1 at the corner"
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); second-order term"
     must_not_change = ("dark",)
@@ -134,6 +137,7 @@ class PixelAngularResponse(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 46.0
+    free = FreeAxis("chief ray angle", "share", 0.5)
     equation = "mu_c x (1 - m_c)^((a/30 deg)^2), a = chief ray angle + shift r, r = 1 at the corner"
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); forms are conventions"
     must_not_change = ("dark",)

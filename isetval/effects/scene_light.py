@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.scene import ChartTarget, Patch, Scene, Spectrum
 from isetval.effects.pupil import REFERENCE_NM, field_point
 
@@ -55,6 +55,7 @@ class SpdMismatch(Effect):
     name = "spd_mismatch"
     stage = "scene"
     order = 12.0
+    free = FreeAxis("wavelength", "gain", 0.1)
     equation = "L x max(0, 1 + tilt (lambda - 550)/100 + spike exp(-(lambda - lambda_s)^2 / (2 w^2)))"
     reference = "CIE 15:2018, sec. 4 (tolerances of illuminants); first-order terms"
     must_not_change = ("dark",)
@@ -89,6 +90,7 @@ class PositionScale(Effect):
     name = "position_scale"
     stage = "scene"
     order = 14.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "L x (1 + a x + b y + c r^2) at the middle of the window, in half diagonals"
     reference = "second-order expansion of the light over set-ups"
     must_not_change = ("dark", "flat", "illumination")
@@ -158,6 +160,7 @@ class Gloss(Effect):
     name = "gloss"
     stage = "scene"
     order = 24.0
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "rho + max(0, k + kx x + ky y) at the middle of the window, in half diagonals"
     reference = "Nicodemus et al., NBS Monograph 160 (1977) (specular part of reflectance); first-order expansion"
     must_not_change = ("dark", "flat", "illumination", "edge")
@@ -244,6 +247,7 @@ class AmbientLight(Effect):
     name = "ambient_light"
     stage = "scene"
     order = 40.0
+    free = FreeAxis("wavelength", "share", 0.5)
     equation = "L + L_a max(0, 1 + tilt (lambda - 550)/100)"
     reference = "ISO 18844:2017 (stray light of the set-up)"
     must_not_change = ("dark",)
