@@ -17,7 +17,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
-from isetval.loop.model_update import read_result
+from isetval.files.result_file import Answer, Commitment, Truth, checked, read_as
 
 COMMITMENT = "commitment.json"
 KINDS = ("null", "single", "pair")
@@ -157,12 +157,14 @@ def reveal_challenge(folder: Path | str, truth_file: Path | str, *, diagnosis: M
     InputError
         If the truth is not the one that was committed to.
     """
-    made = read_result(Path(folder) / COMMITMENT)
-    truth = read_result(truth_file)
+    made = read_as(Path(folder) / COMMITMENT, Commitment)
+    truth = read_as(truth_file, Truth)
     if commitment_of(truth) != made.get("commitment"):
         raise InputError(
             f"{truth_file}: its SHA-256 is not the one in {Path(folder) / COMMITMENT}; this is not the truth that was sealed"
         )
+    if diagnosis is not None:
+        checked(dict(diagnosis), Answer, "the diagnosis")
     return Reveal(truth, None if diagnosis is None else score_diagnosis(truth, diagnosis))
 
 
@@ -178,7 +180,7 @@ def score_diagnosis(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> d
         f"{name}.{p}": (entry["parameters"][p]["value"] - value) / entry["parameters"][p]["sigma"]
         for name, entry in named.items()
         for p, value in hidden.get(name, {}).items()
-        if p in entry["parameters"] and entry["parameters"][p]["sigma"]
+        if p in entry["parameters"] and entry["parameters"][p].get("sigma") and entry["parameters"][p]["value"] is not None
     }
     return {
         "verdict": diagnosis.get("verdict"),

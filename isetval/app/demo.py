@@ -14,6 +14,7 @@ import numpy as np
 from isetval.core.cache import file_hash
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
+from isetval.core.json_file import read_json
 from isetval.core.jsonable import plain
 from isetval.core.toml import data_folder, inside
 from isetval.core.writing import write_whole
@@ -215,8 +216,8 @@ class OwnFiles:
     def _listed(self) -> dict[Path, str]:
         """What ``demo.json`` lists; empty where it is no list of a demo."""
         try:
-            content = json.loads((self.folder / MARKER).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            content = read_json(self.folder / MARKER)
+        except InputError:
             content = None
         files = content.get("files") if isinstance(content, dict) and content.get("kind") == "demo" else None
         if not isinstance(files, dict):

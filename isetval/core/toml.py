@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from isetval.core.errors import InputError
+from isetval.core.json_file import check_nest
 
 PACKAGE_PREFIX = "isetval:"
 
@@ -80,7 +81,7 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path}: the file does not exist; check the path")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; a TOML file is needed") from None
     except tomllib.TOMLDecodeError as error:
@@ -91,6 +92,8 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
     except ValueError as error:  # whole numbers of more than 4300 digits
         raise InputError(f"{path}: not valid TOML: {str(error)[:200]}") from None
+    check_nest(content, str(path))
+    return content
 
 
 def check_keys(table: Any, where: str, *, known: Iterable[str], needed: Iterable[str] = ()) -> Mapping[str, Any]:

@@ -9,11 +9,10 @@ module's CSV, so that one is refused: give its fall-off as a curve of two column
 
 from __future__ import annotations
 
-import json
 import re
-from typing import Any
 
 from isetval.core.errors import InputError
+from isetval.core.json_file import parse_json
 from isetval.files.given_rows import GivenRow, GivenTable, numbers
 
 METHOD = "iso12233:2017"  # Imatest follows ISO 12233 with small changes of its own (its manual, "Slanted-edge algorithms")
@@ -92,10 +91,9 @@ def _regions(lines: list[list[str]], where: str, edge: int | None) -> GivenTable
 
 
 def _json(text: str, where: str, edge: int | None) -> GivenTable:
-    try:
-        content: Any = json.loads(text)
-    except ValueError as error:
-        raise InputError(f"{where}: is no JSON ({error})") from None
+    content = parse_json(text, where, remedy="export it again")
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: holds no table of results; export it again")
     for key, part in content.items():
         if key.lower().endswith("results") and isinstance(part, dict) and isinstance(part.get("mtf50"), list):
             values = numbers(part["mtf50"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from isetval.core.errors import InputError
+from isetval.core.json_file import read_json
 from isetval.lens.pass_region import region_from_json
 from isetval.lens.polynomials import OutputPolynomial, RayPolynomials
 from isetval.lens.ray_transfer import RayTransferLens
@@ -31,11 +31,9 @@ def load_lens(path: str | Path, *more: str | Path) -> RayTransferLens:
         return combine([load_lens(file) for file in (path, *more)])
     file = Path(path)
     try:
-        source = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"lens file {file}: cannot be read ({error.strerror}); give an ISET ray-transfer JSON") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"lens file {file}: not JSON ({error}); give an ISET ray-transfer JSON") from None
+        source = read_json(file, remedy="give an ISET ray-transfer JSON")
+    except InputError as error:
+        raise InputError(f"lens file {error}") from None
     try:
         return from_json(source)
     except InputError as error:

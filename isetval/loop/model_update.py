@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.toml import PACKAGE_PREFIX
 from isetval.core.writing import write_whole
+from isetval.files.result_file import Diagnosed, checked, read_result
 from isetval.loop.model_update_color import KIND, spectral_qe_values
 
 
@@ -65,6 +65,7 @@ def from_diagnosis(effect: str, path: Path | str) -> NewValues:
     result = read_result(path)
     if "verdict" not in result or not isinstance(result.get("effects"), list):
         raise InputError(f"{path}: is no result of 'isetval diagnose'; make one with -o")
+    checked(result, Diagnosed, path)
     named = {entry["name"]: entry for entry in result["effects"]}
     if effect not in named:
         also = sorted({e for entry in named.values() for e in entry["equivalent"]})
@@ -74,10 +75,12 @@ def from_diagnosis(effect: str, path: Path | str) -> NewValues:
             f"not {effect}{hint or '; add one of those'}"
         )
     parameters = named[effect]["parameters"]
+    if unknown := [name for name, p in parameters.items() if p["value"] is None]:
+        raise InputError(f"{path}: gives no value for {', '.join(unknown)} of {effect}; set it with --set {unknown[0]}=...")
     return NewValues(
         effect,
         {name: p["value"] for name, p in parameters.items()} | dict(named[effect].get("choices") or {}),
-        {name: p["sigma"] for name, p in parameters.items()},
+        {name: p["sigma"] for name, p in parameters.items() if p.get("sigma") is not None},
         source=f"diagnosed from the campaign {result.get('campaign', '(unnamed)')}",
         fitted_to=tuple(map(str, named[effect].get("fitted_to") or [result.get("campaign", "diagnosis")])),
         provenance={
@@ -192,22 +195,3 @@ def _made(new: NewValues) -> Effect:
     where = f"effect {new.effect}"
     effect = make_effect(new.effect, start | dict(new.values), where)
     return effect.changed(source=new.source, fitted_to=new.fitted_to)
-
-
-def read_result(path: Path | str) -> dict[str, Any]:
-    """A result file of the command line.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is not a JSON object.
-    """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    except ValueError as error:
-        raise InputError(f"{path}: is no JSON file ({error}); results are written with -o NAME.json") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: holds no result of isetval (a JSON object is needed)")
-    return content

@@ -9,7 +9,7 @@ from batch_runs import result_of, write_flat
 
 from isetval.app.batch.measuring import measure_units
 from isetval.app.batch.store import ResultStore
-from isetval.app.batch.units import Settings, Unit, units_of
+from isetval.app.batch.units import Settings, Unit, seen_now, units_of
 from isetval.app.cli import main
 from isetval.files.loose_files import Asked
 
@@ -123,10 +123,10 @@ def test_a_file_just_written_is_not_known_by_its_time(tmp_path):
     path = write_flat(tmp_path / "new.dng", 1)
     unit = Unit((str(path),))
     measure_units(Settings(), str(tmp_path / "s"), [unit])
-    assert not ResultStore(tmp_path / "s")._seen
+    assert not ResultStore(tmp_path / "s").keys_of(seen_now([path]))
     os.utime(path, ns=(1, time.time_ns() - 3_000_000_000))
     measure_units(Settings(), str(tmp_path / "t"), [unit])
-    assert ResultStore(tmp_path / "t")._seen
+    assert ResultStore(tmp_path / "t").keys_of(seen_now([path]))
 
 
 def test_rerun_measures_again(captures, tmp_path, measured, capsys):

@@ -11,16 +11,19 @@ from typing import Any
 
 from isetval.app.batch.store import Record, ResultStore, Seen
 from isetval.app.batch.units import Settings, Unit, fingerprint, seen_now
+from isetval.app.provenance import METRIC_VERSIONS
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
 from isetval.core.metric import Metric
 from isetval.core.threads import one_blas_thread
+from isetval.core.version import VERSION
 from isetval.files.captures import defect_words
 from isetval.files.loose_files import FileMeasurement, file_reader, try_files
 
 LOOK_AGAIN_S = 30.0  # between looks for segments of others: a listing of the store's folder
 SETTLED_NS = 2_000_000_000  # a file changed less long ago may change again within one tick of the disk's clock
+UNSETTLED = -1  # in place of the time of a file that may still change: its place is known, and never matches
 PASSING = re.compile(r"cannot be read \(|no such file|has changed while|a defect of isetval")
 """Reasons of a refusal that may be gone next time: never stored."""
 LEFT_OUT = ("summary", "count", "sigma")
@@ -120,7 +123,7 @@ def _speaks_of_defect(content: Mapping[str, Any]) -> bool:
 def _settled(seen: tuple[Seen, ...]) -> tuple[Seen, ...]:
     """Files by place, size and time, unless one is so new that a change might leave all three as they are."""
     newest = max(s.modified_ns for s in seen)
-    return seen if time.time_ns() - newest > SETTLED_NS else ()
+    return seen if time.time_ns() - newest > SETTLED_NS else tuple(replace(s, modified_ns=UNSETTLED) for s in seen)
 
 
 def content_of(unit: Unit, settings: Settings) -> tuple[dict[str, Any], dict[str, str]]:
@@ -150,6 +153,8 @@ def content_of(unit: Unit, settings: Settings) -> tuple[dict[str, Any], dict[str
         "skipped": [[name, reason] for name, reason in found.skipped],
         "notes": list(found.notes),
         "empty": found.empty,
+        "settings": settings.table(),
+        "made_by": {"isetval": VERSION, "metric_versions": METRIC_VERSIONS},
     }
     return plain(content), hashes
 

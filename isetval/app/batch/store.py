@@ -69,6 +69,7 @@ class ResultStore:
         self.folder = Path(folder)
         self._places: dict[str, list[_Place]] = {}
         self._seen: dict[tuple[Seen, ...], list[str]] = {}
+        self._paths: dict[str, list[str]] = {}
         self._prints: set[str] = set()
         self._read: set[str] = set()
         self.refresh()
@@ -141,6 +142,10 @@ class ResultStore:
         self._read.add(f"{name}{SUFFIX}")
         self._index(folder / f"{name}{SUFFIX}")
 
+    def paths_of(self, key: str) -> Sequence[str]:
+        """Where the files of a record lay when it was made: its captures, then their sidecars."""
+        return self._paths.get(key, ())
+
     def records(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """All whole records, in order of their keys."""
         for key in self.keys():
@@ -178,6 +183,7 @@ class ResultStore:
             self._places.setdefault(key, []).append(_Place(path, first + start, length, digest))
             self._prints.update(prints)
             if seen:
+                self._paths.setdefault(key, [path for path, _, _ in seen])
                 self._seen.setdefault(tuple(Seen(*s) for s in seen), []).append(key)
 
 

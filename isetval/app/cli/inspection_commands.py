@@ -201,7 +201,7 @@ def report(args: argparse.Namespace, console: Console) -> Outcome:
     """Draw one page from results: does it match, where not, what is missing, how the error fell."""
     from isetval.app.report import write_report
     from isetval.core.cache import file_hash
-    from isetval.loop.model_update import read_result
+    from isetval.files.result_file import read_result
 
     if args.output is None:
         raise InputError("report needs -o PAGE.html: the file to write")
@@ -218,7 +218,7 @@ def rerun(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.app.rerun import command_of, rerun_result
     from isetval.core.cache import file_hash
     from isetval.core.jsonable import plain
-    from isetval.loop.model_update import read_result
+    from isetval.files.result_file import read_result
 
     stored = read_result(args.result)
     words = command_of(stored)

@@ -104,10 +104,10 @@ def challenge_reveal(args: argparse.Namespace, console: Console) -> Outcome:
     """Check the truth file against the commitment, print it, and score a diagnosis."""
     from isetval.app.challenge import reveal_challenge
     from isetval.core.cache import file_hash
-    from isetval.loop.model_update import read_result
+    from isetval.files.result_file import Answer, read_as
 
     truth = args.truth or Path(f"{args.folder}.truth.json")
-    answer = read_result(args.diagnosis) if args.diagnosis else None
+    answer = read_as(args.diagnosis, Answer) if args.diagnosis else None
     found = reveal_challenge(args.folder, truth, diagnosis=answer)
     lines = ["the truth is the one that was sealed", f"hidden: {_hidden_words(found.truth)}"]
     if found.score:

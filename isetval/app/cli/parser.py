@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from isetval.app.cli.archive_commands import register as register_archive
 from isetval.app.cli.cache_command import register as register_cache
 from isetval.app.cli.completion_command import register as register_completion
 from isetval.app.cli.inspection_commands import register as register_show
@@ -59,6 +60,7 @@ def build_parser() -> argparse.ArgumentParser:
         register_measure,
         register_loop,
         register_lab,
+        register_archive,
         register_show,
         register_cache,
         register_completion,

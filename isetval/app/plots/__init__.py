@@ -36,6 +36,7 @@ _NAMES = {
     "plot_relative_illumination": "isetval.app.plots.shading",
     "plot_sfr": "isetval.app.plots.edges",
     "plot_transfer_residuals": "isetval.app.plots.noise",
+    "plot_trend": "isetval.app.plots.trend",
 }
 __all__ = sorted(_NAMES)
 __getattr__, __dir__ = lazy_names(__name__, _NAMES)

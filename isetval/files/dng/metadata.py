@@ -25,6 +25,7 @@ from isetval.files.picture_file import Remark
 
 GAIN_MAP = 9
 MOST_OPCODES = 1000  # cameras write fewer than twenty; a list of empty opcodes must not cost minutes
+LONGEST_SERIAL = 100  # characters
 MOST_PAIRS = 8  # NoiseProfile: one pair a plane (DNG 1.4)
 # without the Exif focal-plane resolution the pitch is unknown; 1 um makes "mm" mean thousands of pixels
 UNKNOWN_PITCH_UM = 1.0
@@ -232,6 +233,7 @@ def read_identity(tags: RawTags) -> tuple[dict[str, Any], list[Remark]]:
     return {
         "make": tags.text(271),
         "model": tags.text(272),
+        "serial": _serial(tags),
         "software": tags.text(305),
         "description": tags.text(270),
         "date_time": tags.text(306),
@@ -241,6 +243,12 @@ def read_identity(tags: RawTags) -> tuple[dict[str, Any], list[Remark]]:
         "gain_maps": maps or None,
         "focal_length_mm": _float(tags.exif_number(37386)),
     }, remarks
+
+
+def _serial(tags: RawTags) -> str | None:
+    """The body's serial number: CameraSerialNumber of DNG, else BodySerialNumber of Exif 2.3."""
+    body = tags.exif.get("BodySerialNumber")
+    return tags.text(50735) or (str(body)[:LONGEST_SERIAL].strip("\0 ") or None if body is not None else None)
 
 
 def _all_gain_maps(tags: RawTags) -> tuple[list[dict[str, Any]], list[Remark]]:
