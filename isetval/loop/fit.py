@@ -53,11 +53,22 @@ class Fit:
 
 def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Parameter, ...]:
     """The campaign's nuisances as free parameters; ``without`` names camera parameters that lose theirs."""
-    free = tuple(p for p in plan.unknowns() if not (p.owner and p.key in without))
-    for p in free:
-        if p.owner:
-            model.value(p.key)  # a tolerance of a parameter that the model does not have is refused by name
-    return free
+    free = (p for p in plan.unknowns() if not (p.owner and p.key in without))
+    return tuple(_within_bounds(p, model) if p.owner else p for p in free)
+
+
+def _within_bounds(tolerance: Parameter, model: CameraModel) -> Parameter:
+    """The tolerance of a camera parameter with the bounds that the effect sets, as differences from the model's value.
+
+    Raises
+    ------
+    InputError
+        If the model has no such parameter.
+    """
+    value = model.value(tolerance.key)
+    effect = model.effect(tolerance.owner)
+    info = next(p for p in effect.parameters() if p.name == tolerance.name) if effect else None
+    return replace(tolerance, low=info.low - value, high=info.high - value) if info else tolerance
 
 
 def at(point: Point, free: Sequence[Parameter], values: Sequence[float]) -> Point:

@@ -1,0 +1,70 @@
+"""All results of the paper, the whole table at the end: `python -m analyses.paper [--json FILE] [--data DIR] [--page FILE]`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from analyses.paper.common import DATA, ROOT, Result, print_result, timed
+from analyses.paper.page import write_page
+
+SCRIPTS = ("relative_illumination", "edges", "noise", "conversion_gain")
+"""In the order of the page."""
+
+
+def table(results: list[Result]) -> list[dict[str, object]]:
+    """The rows of the whole table."""
+    return [
+        {"result": r.title, **{k: v for k, v in vars(claim).items() if k not in ("met", "numbers")}, **claim.plain()}
+        for r in results
+        for claim in r.claims
+    ]
+
+
+def main() -> int:
+    """Run the scripts, print the table, write the page."""
+    parser = argparse.ArgumentParser(prog="python -m analyses.paper", description=__doc__)
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of the published data (default: ../shared/data/pixel4a)")
+    parser.add_argument("--json", action="store_true", help="print the table as JSON on stdout, all words on stderr")
+    parser.add_argument(
+        "--page", type=Path, default=ROOT / "reports" / "paper.html", help="the page (default: reports/paper.html)"
+    )
+    parser.add_argument("--only", nargs="*", choices=SCRIPTS, help="only these results (no page unless --page is stated)")
+    args = parser.parse_args()
+    if not (args.data / "measured").is_dir():
+        print(f"{args.data}: no published data there (folder measured/ missing); name their folder with --data", file=sys.stderr)
+        return 3
+    out = sys.stdout
+    if args.json:
+        sys.stdout = sys.stderr
+    start, results = time.perf_counter(), []
+    for name in args.only or SCRIPTS:
+        with tempfile.TemporaryDirectory() as folder:
+            results.append(timed(importlib.import_module(f"analyses.paper.{name}").run, args.data, Path(folder)))
+        print_result(results[-1])
+    rows = table(results)
+    seconds = time.perf_counter() - start
+    print(f"\n{'claim':76s} | {'published':>16s} | {'measured':>16s} | {'ours':>16s} | target")
+    for row in rows:
+        met = {None: "", True: "met", False: "NOT met"}[row["met"]]  # type: ignore[index]
+        cells = (
+            str(row[k])[:width].ljust(width) for k, width in (("claim", 76), ("published", 16), ("measured", 16), ("ours", 16))
+        )
+        print(" | ".join(cells), "|", met)
+    print(f"{seconds:.0f} s")
+    if not args.only:
+        write_page(args.page, results, seconds)
+        print(f"page: {args.page}")
+    if args.json:
+        json.dump(rows, out, indent=1)
+        out.write("\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
