@@ -76,11 +76,13 @@ class ShotSetup:
         """SHA-256 of all that decides the shot's light (not its frames, files or name, nor where the light's table lies)."""
         return self._digest
 
+    def of_one_frame(self) -> ShotSetup:
+        """The same with one frame."""
+        return self if self.shot.frames == 1 else ShotSetup(self.shot.of_one_frame, self.light, self.nuisance)
+
     @cached_property
     def _digest(self) -> str:
-        shot = self.shot
-        known = (shot.role, shot.exposure, shot.light_level, shot.rotation_deg, shot.window, shot.target, shot.focus_um)
-        return content_hash((known, shot.distance_m, None if self.light is None else self.light.radiance, self.nuisance))
+        return content_hash((self.shot.seen, None if self.light is None else self.light.digest, self.nuisance))
 
 
 @dataclass(frozen=True)

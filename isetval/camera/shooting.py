@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
-from isetval.core.campaign import GIVEN_NUISANCES, Campaign, Shot
+from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.captures import MemoryCaptures
 from isetval.core.context import stream, word
@@ -124,14 +124,10 @@ def camera_with(model: CameraModel, plan: Campaign, values: Mapping[str, float])
 def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotSetup:
     """A shot with its light and the sum of its nuisance values over all scopes."""
     nuisance: dict[str, float] = {}
-    for prior in plan.nuisances:
-        if prior.parameter in GIVEN_NUISANCES or prior.of_camera:
-            continue
-        if prior.scope == "frame" or not prior.applies_to(shot):
-            continue
-        value = values.get(prior.unknown(shot).label, 0.0)
+    for parameter, label in plan.nuisances_of(shot) if values else ():
+        value = values.get(label, 0.0)
         if value:
-            nuisance[prior.parameter] = nuisance.get(prior.parameter, 0.0) + value
+            nuisance[parameter] = nuisance.get(parameter, 0.0) + value
     drift = nuisance.pop("light_drift", 0.0)
     if drift:
         nuisance["light_level"] = (1 + nuisance.get("light_level", 0.0)) * (1 + drift * time_in_session(plan, shot)) - 1

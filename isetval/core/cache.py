@@ -1,4 +1,4 @@
-"""Results by the content that made them: one hash, arrays in memory and in the user's cache folder, a store of vectors.
+"""Results by the content that made them: one hash, arrays in memory and in the user's cache folder.
 
 The folder is ``$ISETVAL_CACHE`` (``off``: none), else where the system keeps caches: ``$XDG_CACHE_HOME/isetval`` or
 ``~/.cache/isetval`` (XDG Base Directory Specification 0.8), ``~/Library/Caches/isetval``, ``%LOCALAPPDATA%/isetval/Cache``.
@@ -218,10 +218,6 @@ class Remembered:
             self.used -= self._items.popitem(last=False)[1].nbytes
 
 
-FORMAT = 1  # of the file; a new one makes all stored numbers stale
-MAX_BYTES = 64_000_000  # of one plan: a bound on the room that a store takes on the user's disk
-
-
 _further_code: set[Path] = set()
 
 
@@ -238,43 +234,3 @@ def code_hash() -> str:
     further = [(str(path), file_hash(path)) for path in sorted(_further_code)]
     own = [(path.relative_to(package).as_posix(), file_hash(path)) for path in sorted(package.rglob("*.py"))]
     return content_hash(own + further)
-
-
-class Store:
-    """Vectors by key, in memory and in one file."""
-
-    def __init__(self, name: str) -> None:
-        self.items: dict[str, Float] = {}
-        self.fresh = False
-        self.path = cache_folder() / "metrics" / f"{content_hash((FORMAT, name, code_hash()))[:32]}.npz"
-        if self.path.is_file():
-            self.items = _read(self.path)
-
-    def get(self, key: str) -> Float | None:
-        """The vector of a key, or None."""
-        return self.items.get(key)
-
-    def put(self, key: str, vector: Float) -> None:
-        """Remember a vector."""
-        self.items[key] = vector
-        self.fresh = True
-
-    def save(self) -> None:
-        """Write the file if anything is new and it is not too large."""
-        if not self.fresh:
-            return
-        keys = list(self.items)
-        if sum(self.items[k].nbytes for k in keys) <= MAX_BYTES:
-            lengths = np.array([self.items[k].size for k in keys])
-            values = np.concatenate([self.items[k] for k in keys])
-            save_arrays(self.path, {"keys": np.array(keys), "lengths": lengths, "values": values})
-        self.fresh = False
-
-
-def _read(path: Path) -> dict[str, Float]:
-    """The stored vectors; a file that cannot be read is as good as none."""
-    arrays = load_arrays(path)
-    if arrays is None or set(arrays) != {"keys", "lengths", "values"}:
-        return {}
-    parts = np.split(arrays["values"], np.cumsum(arrays["lengths"])[:-1])
-    return {str(key): part for key, part in zip(arrays["keys"], parts, strict=True)}

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from isetval.core.cache import content_hash
 from isetval.core.captures import Captures, MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
@@ -59,6 +61,11 @@ class Light:
     radiance: Spectrum
     file: str = ""
     column: str = ""
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the radiance, wherever its table lies."""
+        return content_hash(self.radiance)
 
 
 @dataclass(frozen=True)
@@ -176,6 +183,17 @@ class Shot:
         if self.window is not None and not isinstance(self.window, Window):
             object.__setattr__(self, "window", Window.of(self.window))
 
+    @cached_property
+    def seen(self) -> str:
+        """SHA-256 of all that decides what is seen in a given light (not frames, files or name)."""
+        known = (self.role, self.exposure, self.light_level, self.rotation_deg, self.window, self.target, self.focus_um)
+        return content_hash((known, self.distance_m))
+
+    @cached_property
+    def of_one_frame(self) -> Shot:
+        """The same with one frame."""
+        return replace(self, frames=1)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Campaign:
@@ -251,6 +269,10 @@ class Campaign:
 
         Frame scope is left out: what changes from frame to frame is marginalised, not fitted.
         """
+        return self._unknowns
+
+    @cached_property
+    def _unknowns(self) -> tuple[Parameter, ...]:
         out: dict[str, Parameter] = {}
         for prior in self.nuisances:
             if prior.scope == "frame":
@@ -260,3 +282,18 @@ class Campaign:
                 parameter = prior.unknown(shot)
                 out[parameter.label] = parameter
         return tuple(out.values())
+
+    def nuisances_of(self, shot: Shot) -> tuple[tuple[str, str], ...]:
+        """Names and labels of the nuisances that act on a shot's light, not on its frames, the camera or given rows."""
+        if shot.name not in self._of_shots:
+            acting = [
+                p
+                for p in self.nuisances
+                if p.scope != "frame" and not p.of_camera and p.parameter not in GIVEN_NUISANCES and p.applies_to(shot)
+            ]
+            self._of_shots[shot.name] = tuple((p.parameter, p.unknown(shot).label) for p in acting)
+        return self._of_shots[shot.name]
+
+    @cached_property
+    def _of_shots(self) -> dict[str, tuple[tuple[str, str], ...]]:
+        return {}

@@ -18,8 +18,9 @@ from isetval.core.shown import Drawn
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import degrees_spent, expected_mean_square, square, whitener
 from isetval.loop.given_side import given_rows
-from isetval.loop.prepared import Prepared, Say, prepare, repeat_gate
+from isetval.loop.prepared import Prepared, prepare, repeat_gate
 from isetval.loop.problem import Problem
+from isetval.loop.telling import Progress, Say, Teller
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -175,7 +176,12 @@ class Comparison(Drawn):
 
 
 def compare(
-    model: CameraModel | Sequence[CameraModel], campaign: Campaign, *, jobs: int = 1, say: Say | None = None
+    model: CameraModel | Sequence[CameraModel],
+    campaign: Campaign,
+    *,
+    jobs: int = 1,
+    say: Say | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Compare one or several models with a measured campaign.
 
@@ -189,6 +195,8 @@ def compare(
         Worker processes.
     say : callable, optional
         Told what is being done.
+    progress : callable, optional
+        ``progress(what is being done, done, total)``, called as shots are measured and simulated.
 
     Raises
     ------
@@ -199,7 +207,7 @@ def compare(
     twice = [name for name, count in Counter(m.name for m in models).items() if count > 1]
     if twice:
         raise InputError(f"two models are called {twice[0]!r}; give each its own name in its file")
-    with prepare(models[0], campaign, jobs=jobs, say=say) as prepared:
+    with prepare(models[0], campaign, jobs=jobs, say=Teller.of(say, progress)) as prepared:
         return comparison_of(prepared, models)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
 from isetval.loop.replacement import swap
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, cosine, make_frame, score
+from isetval.loop.telling import Progress, Say, Teller
 from isetval.loop.unknown import Finding, findings
 from isetval.loop.verdict import account_of
 
@@ -30,7 +31,6 @@ MAX_EFFECTS = 4  # named in one diagnosis: a model that lacks more is better men
 SHORT_LIST = 5  # candidates refitted in full: a bound on cost, each simulates the plan several times
 SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 WORTH_A_REFIT = 0.5  # share of the best score; what explains less than half of it cannot win
-Say = Callable[[str], None]
 
 
 def diagnose(
@@ -40,6 +40,7 @@ def diagnose(
     *,
     jobs: int = 1,
     say: Say | None = None,
+    progress: Progress | None = None,
     with_next_captures: bool = True,
 ) -> Diagnosis:
     """Name the physical effect that is missing from ``model``.
@@ -57,6 +58,8 @@ def diagnose(
         Worker processes.
     say : callable, optional
         Told what is being done, one line each.
+    progress : callable, optional
+        ``progress(what is being done, done, total)``, called as shots are measured and simulated.
     with_next_captures : bool
         Search the captures that would tell close candidates apart.
 
@@ -75,7 +78,7 @@ def diagnose(
     with the catalogue's priors ranks (Kass and Raftery 1995), templates without physics catch what the
     catalogue does not hold, and the hold-out confirms.
     """
-    say = say or (lambda _: None)
+    say = Teller.of(say, progress)
     ready = holdout if isinstance(holdout, Prepared) else None
     used, other = (campaign, None) if isinstance(holdout, Prepared) else split_sessions(campaign, holdout)
     prepared = prepare(model, used, jobs=jobs, say=say)

@@ -7,35 +7,31 @@ light or electronics a parameter changes are simulated again.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.camera.chain import FRONT, ShotSetup, mean_electrons
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import camera_with, shot_setup
-from isetval.core.cache import Remembered, Store, content_hash
+from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
-from isetval.core.capture import Capture
 from isetval.core.context import Mode
-from isetval.core.errors import InputError
-from isetval.core.metric import Block, Differences, MetricTable
+from isetval.core.metric import Differences, MetricTable
+from isetval.core.number_store import NumberStore
 from isetval.core.scene import RenderedTarget
-from isetval.core.workers import single_worker
 from isetval.loop.gaussian import scatter
-from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, shoot, with_stated_covariance, with_systematic
-from isetval.loop.render_error import render_covariance
-from isetval.measure.campaign import measure_shot
+from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
+from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part, sample_of, vectors_of
+from isetval.loop.task_runner import Call, Runner
+from isetval.loop.telling import Counted
 
 Float = NDArray[np.float64]
 REPLICAS = 16  # the mean of so many adds 1/16 to the variance of a difference, 3 % to its sigma
 COVARIANCE_REPLICAS = 4  # stated covariances scatter little; the scatter of all replicas scales them
-WORKER_BYTES = 200_000_000  # metrics remembered in each worker: some 200,000 shots of a hundred rows
+TOGETHER = 16  # differences of one shot in one call: edges are measured four times as fast in a stack as alone
 DERIVATIVE_SEEDS = (101,)  # common random numbers: one draw tells a difference to the second order
 # signatures have seeds of their own: what rounding does to a fit must not look like a signature
 SIGNATURE_SEEDS = (201,)
@@ -51,17 +47,6 @@ class Point:
 
     model: CameraModel
     values: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class ShotPart:
-    """What one worker needs to shoot and measure one shot."""
-
-    model: CameraModel
-    setup: ShotSetup
-    seed: int
-    mode: Mode
-    choices: Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,44 +79,67 @@ class Predictor:
         The measured rows: predictions come in their order, made with their choices.
     jobs : int
         Worker processes; 1 computes in this process.
+    progress : callable, optional
+        ``progress(done, total)``, called as shots are simulated: how many of those that are asked for together and were
+        not known.  The time left follows from both; see `isetval.loop.telling.Teller` for the words that belong to it.
     """
 
-    def __init__(self, plan: Campaign, table: MetricTable, *, jobs: int = 1) -> None:
+    def __init__(self, plan: Campaign, table: MetricTable, *, jobs: int = 1, progress: Counted | None = None) -> None:
         self.plan = plan.as_plan()
         self.table = table
         self.keys = [m.key() for m in table.metrics]
         self.place = {key: i for i, key in enumerate(self.keys)}
-        measured = {m.shot for m in table.metrics}
-        self.shots = tuple(shot for shot in self.plan.shots if shot.name in measured)
-        self.rows = {shot.name: np.array([i for i, m in enumerate(table.metrics) if m.shot == shot.name]) for shot in self.shots}
-        self._row_keys = {name: [self.keys[i] for i in rows] for name, rows in self.rows.items()}
-        self._row_digest = {name: content_hash(keys) for name, keys in self._row_keys.items()}
-        self.jobs = max(1, min(jobs, os.cpu_count() or 1))
+        by_shot: dict[str, list[int]] = {}
+        for i, m in enumerate(table.metrics):
+            by_shot.setdefault(m.shot, []).append(i)
+        self.shots = tuple(shot for shot in self.plan.shots if shot.name in by_shot)
+        self.rows = {shot.name: np.array(by_shot[shot.name]) for shot in self.shots}
+        self._wanted = {name: Rows.of([self.keys[i] for i in rows]) for name, rows in self.rows.items()}
+        self._number = {shot.name: i for i, shot in enumerate(self.shots)}
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
-        self._memo = Store(repr((self.plan.name, [shot.name for shot in self.shots])))
-        self._pools: list[ProcessPoolExecutor] = []
+        self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
+        self._chosen = {name: content_hash(choices) for name, choices in self._choices.items()}
+        self._memo = NumberStore(repr([shot.name for shot in self.shots]))
+        self._runner = Runner(jobs, progress)
+
+    @property
+    def jobs(self) -> int:
+        """Worker processes."""
+        return self._runner.jobs
+
+    def of_plan(self, plan: Campaign) -> Predictor:
+        """The same rows of another plan with the same shots (in another light); workers and what is known are shared."""
+        other = object.__new__(Predictor)
+        other.__dict__.update(self.__dict__, plan=plan.as_plan())
+        other.shots = tuple(shot for shot in plan.shots if shot.name in self.rows)
+        return other
 
     def close(self) -> None:
         """Stop the workers; keep what was simulated for the next time."""
         self._memo.save()
-        for pool in self._pools:
-            pool.shutdown(wait=False, cancel_futures=True)
-        self._pools = []
+        self._runner.close()
 
     def parts(self, point: Point, seed: int, *, derivative: bool) -> list[ShotPart]:
         """The shots of a point, each with its choices."""
         camera = camera_with(point.model, self.plan, point.values)
-        return [self._part(camera, shot, point.values, seed, derivative) for shot in self.shots]
+        halves = Halves.of(camera)
+        return [self._part(camera, halves, shot, point.values, seed, derivative) for shot in self.shots]
 
-    def _part(self, camera: CameraModel, shot: Shot, values: Mapping[str, float], seed: int, derivative: bool) -> ShotPart:
+    def _part(
+        self, camera: CameraModel, halves: Halves, shot: Shot, values: Mapping[str, float], seed: int, derivative: bool
+    ) -> ShotPart:
         how = self.differences[shot.name]
+        setup = shot_setup(self.plan, shot, values)
         if derivative and how.one_frame:
-            shot = replace(shot, frames=1)
+            setup = setup.of_one_frame()
         mode: Mode = "capture" if not derivative else "expected" if how.noise_free else "derivative"
-        choices = {key: made for key, made in self.table.choices.items() if key.startswith(f"{shot.name}/")}
-        choices = with_systematic(choices, self.plan, shot, values)
-        camera, setup = in_large_pixels(camera, shot_setup(self.plan, shot, values), choices)
-        return ShotPart(camera, setup, seed if is_noisy(shot, choices) else 0, mode, choices)
+        choices, chosen = self._choices[shot.name], self._chosen[shot.name]
+        if shot.given is not None:
+            choices = with_systematic(choices, self.plan, shot, values)
+            chosen = content_hash(choices)
+            large, setup = in_large_pixels(camera, setup, choices)
+            camera, halves = (camera, halves) if large is camera else (large, Halves.of(large))
+        return ShotPart(camera, setup, seed if is_noisy(shot, choices) else 0, mode, choices, halves, chosen)
 
     def derivative_vectors(
         self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS, *, of_noise: bool = False
@@ -145,8 +153,8 @@ class Predictor:
         draws = [(shot, seed) for shot in shots for seed in seeds[: self.differences[shot.name].draws]]
         cameras = [camera_with(point.model, self.plan, point.values) for point in points]
         tasks = [
-            self._part(camera, shot, point.values, seed, True)
-            for point, camera in zip(points, cameras, strict=True)
+            self._part(camera, halves, shot, point.values, seed, True)
+            for point, camera, halves in zip(points, cameras, map(Halves.of, cameras), strict=True)
             for shot, seed in draws
         ]
         results = iter(self._vectors(tasks))
@@ -163,119 +171,83 @@ class Predictor:
 
     def base(self, point: Point, replicas: int = REPLICAS) -> Base:
         """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen."""
-        tasks = [part for r in range(replicas) for part in self.parts(point, BASE_SEED + r, derivative=False)]
+        every = [self.parts(point, BASE_SEED + r, derivative=False) for r in range(replicas)]
         count = min(COVARIANCE_REPLICAS, replicas)
-        first = tasks[: count * len(self.shots)]
-        blocks = iter(self._run(_blocks_of, first))
-        tables = [MetricTable(tuple(b for _ in self.shots for b in next(blocks))) for _ in range(count)]
-        vectors = iter(self._vectors(tasks[len(first) :]))
-        values = np.zeros((replicas, len(self.keys)))
-        for r, table in enumerate(tables):
-            order = self._order(table)
-            values[r] = np.where(order < 0, np.nan, table.values[order])
-        for r in range(count, replicas):
-            for shot in self.shots:
-                values[r, self.rows[shot.name]] = next(vectors)
-        covariance = np.mean([_ordered(t.covariance(), self._order(t)) for t in tables], axis=0)
+        groups = [[parts[k] for parts in every] for k in range(len(self.shots))]
+        known = self._known(sample_of, groups, count)
+        values, covariance = self._gathered([Sampled.unpacked(known[i]) for i in range(len(groups))])
         scale = scatter(values, measured_only(covariance, self.table), self.table.metrics)
-        covariance = covariance * np.outer(scale, scale) + self._of_renders(tasks[: len(self.shots)])
+        covariance = covariance * np.outer(scale, scale) + self._of_renders(every[0])
         covariance = with_stated_covariance(covariance, self.table, replicas)
         return Base(values.mean(axis=0), covariance, values, scale)
+
+    def _gathered(self, samples: Sequence[Sampled]) -> tuple[Float, Float]:
+        """Values (replicas, metrics) and the stated covariance (metrics, metrics) of one campaign."""
+        n = len(self.keys)
+        values, covariance = np.zeros((len(samples[0].values), n)), np.zeros((n, n))
+        columns: dict[int, list[tuple[NDArray[np.intp], Float]]] = {}
+        for shot, sample in zip(self.shots, samples, strict=True):
+            rows = self.rows[shot.name]
+            values[:, rows] = sample.values
+            covariance[np.ix_(rows, rows)] = sample.covariance
+            for label, loadings in sample.shared.items():
+                columns.setdefault(label, []).append((rows, loadings))
+        for parts in columns.values():
+            rows = np.concatenate([rows for rows, _ in parts])
+            loadings = np.hstack([part for _, part in parts])
+            covariance[np.ix_(rows, rows)] += loadings.T @ loadings / len(loadings)
+        return values, covariance
 
     def _of_renders(self, tasks: list[ShotPart]) -> Float:
         """Covariance from the noise of renders, which all replicas share and so do not show."""
         out = np.zeros((len(self.keys), len(self.keys)))
         rendered = [task for task in tasks if isinstance(task.setup.shot.target, RenderedTarget)]
-        for task, part in zip(rendered, self._run(_render_part, rendered, self._rows_of), strict=True):
-            rows = self.rows[task.setup.shot.name]
+        calls = [self._call(render_part, [task]) for task in rendered]
+        for i, part in self._runner.results(calls):
+            rows = self.rows[rendered[i].setup.shot.name]
             if part is not None:
                 out[np.ix_(rows, rows)] = part
         return out
 
-    def _order(self, table: MetricTable) -> NDArray[np.intp]:
-        place = {m.key(): i for i, m in enumerate(table.metrics)}
-        return np.array([place.get(key, -1) for key in self.keys])
+    def _call(self, function: Any, tasks: Sequence[ShotPart], *more: Any) -> Call:
+        shot = tasks[0].setup.shot.name
+        return Call(function, (tasks, self._wanted[shot], *more), self._number[shot], len(tasks))
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
         """Measured values of each task; equal content is simulated once."""
-        keys = [content_hash((_content(task), self._row_digest[task.setup.shot.name])) for task in tasks]
-        missing: dict[str, ShotPart] = {}
-        for key, task in zip(keys, tasks, strict=True):
-            if self._memo.get(key) is None:
-                missing.setdefault(key, task)
-        vectors = self._run(_vector_of, list(missing.values()), self._rows_of)
-        for key, vector in zip(missing, vectors, strict=True):
-            self._memo.put(key, vector)
+        keys = [self._key(task) for task in tasks]
+        missing = {key: task for key, task in zip(keys, tasks, strict=True) if self._memo.get(key) is None}
+        groups = list(_by_shot(missing))
+        calls = [self._call(vectors_of, [missing[key] for key in group]) for group in groups]
+        for i, vectors in self._runner.results(calls):
+            for key, vector in zip(groups[i], vectors, strict=True):
+                self._memo.put(key, vector)
         return [self._memo.items[key] for key in keys]
 
-    def _rows_of(self, task: ShotPart) -> list[Any]:
-        return self._row_keys[task.setup.shot.name]
+    def _key(self, task: ShotPart) -> str:
+        return content_hash((task.key, self._wanted[task.setup.shot.name].digest))
 
-    def _run(self, function: Any, tasks: list[ShotPart], extra: Any = None) -> list[Any]:
-        jobs = [(task, extra(task)) if extra else (task,) for task in tasks]
-        if self.jobs == 1 or len(jobs) < 4:
-            return [function(*job) for job in jobs]
-        if not self._pools:
-            self._pools = [single_worker() for _ in range(self.jobs)]
-        names = [shot.name for shot in self.shots]
-        futures = [
-            self._pools[names.index(task.setup.shot.name) % self.jobs].submit(function, *job)
-            for task, job in zip(tasks, jobs, strict=True)
-        ]
-        return [future.result() for future in futures]
+    def _known(self, function: Any, groups: Sequence[Sequence[ShotPart]], *more: Any) -> list[Float]:
+        """What a function gives for groups of tasks of one shot, from the store where it is known."""
+        keys = [content_hash((function.__name__, [self._key(task) for task in group], more)) for group in groups]
+        missing = [i for i, key in enumerate(keys) if self._memo.get(key) is None]
+        for i, vector in self._runner.results([self._call(function, groups[i], *more) for i in missing]):
+            self._memo.put(keys[missing[i]], vector)
+        return [self._memo.items[key] for key in keys]
 
 
-def _content(task: ShotPart) -> Any:
-    """Equal for two tasks that must give the same numbers."""
-    model = task.model
-    front = tuple(e.content() for e in model.effects if e.stage in FRONT)
-    rest = tuple(e.content() for e in model.effects if e.stage not in FRONT)
-    made = (front, task.setup.digest(), rest, task.setup.shot.name, task.setup.shot.frames)
-    return (model.sensor, model.wavelength_nm.tobytes(), made, task.seed, task.mode, task.choices)
+def _by_shot(tasks: Mapping[str, ShotPart]) -> Iterator[list[str]]:
+    """Keys of tasks that can be measured together: of one shot with equal choices, at most `TOGETHER`."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for key, task in tasks.items():
+        groups.setdefault((task.setup.shot.name, task.chosen), []).append(key)
+    for group in groups.values():
+        for i in range(0, len(group), TOGETHER):
+            yield group[i : i + TOGETHER]
 
 
-def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
-    out = covariance[np.ix_(order, order)]
-    out[order < 0] = np.nan
-    out[:, order < 0] = np.nan
-    return np.asarray(out)
-
-
-_MEASURED = Remembered(WORKER_BYTES)
-
-
-def _vector_of(task: ShotPart, keys: Sequence[Any]) -> Float:
-    """Values of ``keys`` for one shot; equal light and electronics are shot and measured once per process.
-
-    Unlike the store, which knows what a shot is made from, this one knows the light that came out: a parameter
-    that does not touch the shot costs nothing but the light.
-    """
-    mean = mean_electrons(task.model, task.setup)
-    rest = tuple(e.content() for e in task.model.effects if e.stage not in FRONT)
-    shot = task.setup.shot
-    key = content_hash(
-        (mean, rest, shot.name, shot.frames, task.seed, task.mode, task.choices, hash(tuple(keys)), task.model.sensor)
-    )
-    found = _MEASURED.get(key)
-    if found is None:
-        values = {m.key(): m.value for block in _blocks_of(task) for m in block.metrics}
-        found = np.array([values.get(k, np.nan) for k in keys])
-        _MEASURED.put(key, found)
-    return found
-
-
-def _render_part(task: ShotPart, keys: Sequence[Any]) -> Float | None:
-    one = replace(task.setup, shot=replace(task.setup.shot, frames=1))
-
-    def measure(captures: Sequence[Capture]) -> Float:
-        try:
-            blocks = [block for _, block in measure_shot(one.shot, captures, choices=task.choices)]
-        except InputError:
-            blocks = []
-        values = {m.key(): m.value for block in blocks for m in block.metrics}
-        return np.array([values.get(k, np.nan) for k in keys])
-
-    return render_covariance(task.model, one, measure)
+def _of_shot(choices: Mapping[str, Any], shot: str) -> dict[str, Any]:
+    return {key: made for key, made in choices.items() if key.startswith(f"{shot}/")}
 
 
 def _joint_differences(table: MetricTable, shot: str) -> Differences:
@@ -286,11 +258,3 @@ def _joint_differences(table: MetricTable, shot: str) -> Differences:
         noise_free=all(d.noise_free for d in asked),
         draws=max((d.draws for d in asked), default=1),
     )
-
-
-def _blocks_of(task: ShotPart) -> list[Block]:
-    captures = shoot(task.model, task.setup, task.seed, mode=task.mode, choices=task.choices)
-    try:
-        return [block for _, block in measure_shot(task.setup.shot, captures, choices=task.choices)]
-    except InputError:
-        return []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any
@@ -20,10 +20,10 @@ from isetval.loop.fit import Fit, far_values, fit, jacobian, nuisance_parameters
 from isetval.loop.given_side import given_rows
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.problem import Problem, make_problem
+from isetval.loop.telling import Say, Teller
 from isetval.measure.campaign import measure_campaign
 
 Float = NDArray[np.float64]
-Say = Callable[[str], None]
 MIN_GATE = 0.05  # what sigma may be off by, however many repeats there are: 2.5 % of it
 
 
@@ -102,14 +102,14 @@ def prepare(
     InputError
         If the campaign has no captures, another sensor than the model, or nothing that can be measured.
     """
-    say = say or (lambda _: None)
+    say = Teller.of(say)
     if campaign.is_plan:
         raise InputError(f"campaign {campaign.name} has no captures; simulate it, or put the files of its shots beside it")
     check_sensor(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
-    table = table or measure_campaign(campaign, summaries=False)
+    table = table or measure_campaign(campaign, summaries=False, progress=lambda _, done, total: say.counted(done, total))
     campaign = _without_broken(campaign)
-    predictor = Predictor(campaign, table, jobs=jobs)
+    predictor = Predictor(campaign, table, jobs=jobs, progress=say.counted)
     say(f"simulating the plan with {model.name}")
     problem = make_problem(predictor, Point(model))
     table = replace(table, notes=(*table.notes, *_without_counterpart(problem)))

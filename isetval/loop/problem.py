@@ -116,7 +116,7 @@ def _light_slope(problem: Problem, step: float) -> Float:
     """Derivative of the metrics (metrics,) by the light's relative level, nan where a row cannot be measured there."""
     plan, predictor = problem.plan, problem.predictor
     moved = replace(plan, shots=tuple(replace(s, light_level=s.light_level * (1 + step)) for s in plan.shots))
-    (vector,) = Predictor(moved, predictor.table).derivative_vectors([problem.origin], problem.seeds)
+    (vector,) = predictor.of_plan(moved).derivative_vectors([problem.origin], problem.seeds)
     return np.asarray((vector - problem.anchor) / step)
 
 

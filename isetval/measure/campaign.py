@@ -170,6 +170,47 @@ def _analyzed(
                 yield name, block
 
 
+def measure_shots(
+    shot: Shot, many: Sequence[Sequence[Capture]], *, choices: Mapping[str, Any] | None = None
+) -> list[list[Block]]:
+    """The blocks of one shot for each of several sets of captures; none where it cannot be measured.
+
+    The same as `measure_shot` of each.  An analysis that is quicker with many at once has ``analyze_many``, which gives
+    its block or its reason for each set.
+    """
+    out: list[list[Block] | None] = [[] for _ in many]
+    given = (choices or {}).get(f"{shot.name}/given")
+    if given is not None:
+        return [_blocks_or_none(shot, captures, choices) for captures in many]
+    for module in analyses(shot.role):
+        own = (choices or {}).get(f"{shot.name}/{module.__name__.rsplit('.', 1)[-1]}", {})
+        several = getattr(module, "analyze_many", None)
+        left = [i for i, blocks in enumerate(out) if blocks is not None]
+        found = several(shot, [many[i] for i in left], own) if several else [_try(module, shot, many[i], own) for i in left]
+        for i, block in zip(left, found, strict=True):
+            blocks = out[i]
+            if isinstance(block, InputError):
+                out[i] = None
+            elif blocks is not None and block.metrics:
+                blocks.append(block)
+    return [blocks or [] for blocks in out]
+
+
+def _try(module: ModuleType, shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block | InputError:
+    try:
+        block: Block = module.analyze(shot, captures, choices)
+    except InputError as error:
+        return error
+    return block
+
+
+def _blocks_or_none(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any] | None) -> list[Block]:
+    try:
+        return [block for _, block in measure_shot(shot, captures, choices=choices)]
+    except InputError:
+        return []
+
+
 def measure_shot(shot: Shot, captures: Sequence[Capture], *, choices: Mapping[str, Any] | None = None) -> list[tuple[str, Block]]:
     """The blocks of one shot, by analysis.
 

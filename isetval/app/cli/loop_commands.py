@@ -151,7 +151,7 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     model, campaign, inputs = load_both(args.models[0], args.campaign, args)
     models = [model, *(isetval.load_model(m) for m in args.models[1:])]
     inputs |= {m: file_hash(m) for m in args.models if Path(m).is_file()}
-    found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say)
+    found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say, progress=console.progress)
     inputs |= campaign.captures.hashes
     result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
     faults = broken(limits, result["ladder"])
@@ -192,7 +192,7 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
 
     model, campaign, inputs = load_both(args.model, args.campaign, args)
     holdout = shots_of(model, args.holdout, args) if args.holdout else None
-    found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say)
+    found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say, progress=console.progress)
     inputs |= campaign.captures.hashes
     inputs |= input_hashes(holdout) if holdout is not None else {}
     result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
-from isetval.core.errors import MeasurementError
+from isetval.core.errors import InputError, MeasurementError
 from isetval.core.metric import Block, Differences, Metric
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.edge import SfrResult, sfr_batch
@@ -54,35 +54,60 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     MeasurementError
         If the edge is refused in every colour, with the reasons.
     """
-    conditions = shot_conditions(shot, captures[0].sensor) | {"orientation": getattr(shot.target, "orientation", "")}
-    roi = getattr(shot.target, "roi", None)
-    channels = ("MONO",) if captures[0].sensor.cfa == "MONO" else ((shot.channel,) if shot.channel else ("R", "G", "B"))
-    method = shot.method or "default"
+    (found,) = analyze_many(shot, [captures], choices)
+    if isinstance(found, InputError):
+        raise found
+    return found
+
+
+def analyze_many(shot: Shot, many: Sequence[Sequence[Capture]], choices: Mapping[str, Any]) -> list[Block | InputError]:
+    """`analyze` of several sets of captures; with ``choices`` all regions of a colour are fitted in one stack."""
+    sensor = many[0][0].sensor
+    channels = ("MONO",) if sensor.cfa == "MONO" else ((shot.channel,) if shot.channel else ("R", "G", "B"))
+    results = {channel: _results(shot, many, channel, choices.get(channel)) for channel in channels}
+    return [_block(shot, captures[0], {c: results[c][i] for c in channels}, choices) for i, captures in enumerate(many)]
+
+
+def _results(
+    shot: Shot, many: Sequence[Sequence[Capture]], channel: str, known: Mapping[str, Any] | None
+) -> list[list[SfrResult]]:
+    """Results of the frames of each set; of the first frame alone where it is refused and nothing is known."""
+    roi, plane, method = getattr(shot.target, "roi", None), "G" if channel == "MONO" else channel, shot.method or "default"
+
+    def measured(captures: Sequence[Capture], made: Mapping[str, Any] | None) -> list[SfrResult]:
+        found: list[SfrResult] = sfr_batch(captures, [roi] * len(captures), plane, method=method, choices=made)
+        return found
+
+    if known:
+        every = iter(measured([capture for captures in many for capture in captures], known))
+        return [[next(every) for _ in captures] for captures in many]
+    out = []
+    for captures in many:  # the first frame makes the choices for the others
+        first = measured(captures[:1], None)
+        rest = captures[1:] if first[0].accepted else ()
+        out.append([*first, *measured(rest, first[0].choices)] if rest else first)
+    return out
+
+
+def _block(
+    shot: Shot, capture: Capture, results: Mapping[str, Sequence[SfrResult]], choices: Mapping[str, Any]
+) -> Block | InputError:
+    conditions = shot_conditions(shot, capture.sensor) | {"orientation": getattr(shot.target, "orientation", "")}
     made: dict[str, Any] = {}
     rows: list[Metric] = []
     blocks: list[Float] = []
     places: dict[str, _Place] = {}
     reasons: list[str] = []
-    for channel in channels:
-        known = choices.get(channel)
-        plane = "G" if channel == "MONO" else channel
-        first = len(captures) if known else 1  # without choices the first frame makes them for the others
-        results = sfr_batch(captures[:first], [roi] * first, plane, method=method, choices=known)
-        if results[0].accepted:
-            known = known or dict(results[0].choices)
-            rest = captures[first:]
-            results = [
-                r for r in (*results, *sfr_batch(rest, [roi] * len(rest), plane, method=method, choices=known)) if r.accepted
-            ]
-        if not results[0].accepted:
-            reasons.append(f"{channel}: {', '.join(results[0].messages.values()) or ', '.join(results[0].flags)}")
+    for channel, every in results.items():
+        if not every[0].accepted:
+            reasons.append(f"{channel}: {', '.join(every[0].messages.values()) or ', '.join(every[0].flags)}")
             continue
-        made[channel] = known
-        new, correlation, places[channel] = _channel(conditions, channel, results)
+        made[channel] = choices.get(channel) or dict(every[0].choices)
+        new, correlation, places[channel] = _channel(conditions, channel, [r for r in every if r.accepted])
         rows += new
         blocks.append(correlation)
     if not rows:
-        raise MeasurementError(f"no edge can be measured ({'; '.join(reasons)})")
+        return MeasurementError(f"no edge can be measured ({'; '.join(reasons)})")
     shifts, between = _lateral_color(conditions, places)
     correlation = block_diagonal([*blocks, between])
     return Block((*rows, *shifts), correlation, choices=made, differences=Differences(one_frame=True, noise_free=True))

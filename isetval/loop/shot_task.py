@@ -1,0 +1,198 @@
+"""One shot of a prediction: what a worker needs to shoot and measure it, and by which content its numbers are remembered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.chain import FRONT, ShotSetup, mean_electrons
+from isetval.camera.model import CameraModel
+from isetval.core.cache import Remembered, content_hash
+from isetval.core.capture import Capture
+from isetval.core.context import Mode
+from isetval.core.errors import InputError
+from isetval.core.metric import Block, MetricTable
+from isetval.loop.given_side import shoot
+from isetval.loop.render_error import render_covariance
+from isetval.measure.campaign import measure_shot, measure_shots
+
+Float = NDArray[np.float64]
+WORKER_BYTES = 200_000_000  # metrics remembered in each worker: some 200,000 shots of a hundred rows
+HELD_PIXELS = 20_000_000  # 40 MB of frames that are measured together
+LABEL_DIGITS = 13  # hexadecimal: 52 bits, which a double holds exactly
+
+
+@dataclass(frozen=True)
+class Halves:
+    """SHA-256 of a camera's two halves: what acts up to the colour filters, and the electronics; both with the sensor."""
+
+    front: str
+    rest: str
+
+    @classmethod
+    def of(cls, model: CameraModel) -> Halves:
+        """Of a model."""
+        front = tuple(e.content() for e in model.effects if e.stage in FRONT)
+        rest = tuple(e.content() for e in model.effects if e.stage not in FRONT)
+        return cls(content_hash((model.sensor, model.wavelength_nm, front)), content_hash((model.sensor, rest)))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Keys of the rows that are wanted of a shot, and their hash."""
+
+    keys: tuple[Any, ...]
+    digest: str
+
+    @classmethod
+    def of(cls, keys: Sequence[Any]) -> Rows:
+        """Of keys of metrics."""
+        return cls(tuple(keys), content_hash(keys))
+
+    def order(self, blocks: Sequence[Block]) -> NDArray[np.intp]:
+        """Places of the rows in the blocks' metrics, -1 where one is missing."""
+        place = {m.key(): i for i, m in enumerate(m for block in blocks for m in block.metrics)}
+        return np.array([place.get(key, -1) for key in self.keys], dtype=np.intp)
+
+    def values(self, blocks: Sequence[Block]) -> Float:
+        """Values of the rows, nan where one is missing."""
+        values = {m.key(): m.value for block in blocks for m in block.metrics}
+        return np.array([values.get(key, np.nan) for key in self.keys])
+
+
+@dataclass(frozen=True, eq=False)
+class ShotPart:
+    """What one worker needs to shoot and measure one shot; ``halves`` and ``chosen`` are the hashes of model and choices."""
+
+    model: CameraModel
+    setup: ShotSetup
+    seed: int
+    mode: Mode
+    choices: Mapping[str, Any]
+    halves: Halves
+    chosen: str
+
+    @cached_property
+    def key(self) -> str:
+        """Equal for two tasks that must give the same numbers."""
+        return content_hash((self.halves.front, self.setup.digest(), self._rest))
+
+    @property
+    def _rest(self) -> tuple[Any, ...]:
+        shot = self.setup.shot
+        return (self.halves.rest, shot.name, shot.frames, self.seed, self.mode, self.chosen)
+
+    def key_of_light(self, mean: Float) -> str:
+        """The same, by the light that came out in place of what it was made from."""
+        return content_hash((mean, self._rest))
+
+
+_MEASURED = Remembered(WORKER_BYTES)
+
+
+def vectors_of(tasks: Sequence[ShotPart], rows: Rows) -> list[Float]:
+    """Values of rows for tasks of one shot; equal light and electronics are shot and measured once per process.
+
+    Unlike the store, which knows what a shot is made from, this one knows the light that came out: a parameter
+    that does not touch the shot costs nothing but the light.
+    """
+    keys = [(rows.digest, task.key_of_light(mean_electrons(task.model, task.setup))) for task in tasks]
+    known = {key: found for key in keys if (found := _MEASURED.get(key)) is not None}
+    todo = {key: task for key, task in zip(keys, tasks, strict=True) if key not in known}
+    for key, blocks in zip(todo, blocks_of(list(todo.values())), strict=True):
+        known[key] = rows.values(blocks)
+        _MEASURED.put(key, known[key])
+    return [known[key] for key in keys]
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """What replicas of one shot show of n rows.
+
+    ``values`` is (replicas, n); ``covariance`` (n, n) the stated one, mean over the first ``covered`` of them, without the
+    random numbers that other shots share: ``shared`` holds their loadings, (covered, n) by the number of their label.
+    """
+
+    values: Float
+    covariance: Float
+    shared: Mapping[int, Float]
+
+    def packed(self) -> Float:
+        """All of it as one vector, for stores."""
+        covered = len(next(iter(self.shared.values()))) if self.shared else 0
+        head = [*self.values.shape, len(self.shared), covered, *self.shared]
+        loadings = [part.ravel() for part in self.shared.values()]
+        return np.concatenate([np.array(head, float), self.values.ravel(), self.covariance.ravel(), *loadings])
+
+    @classmethod
+    def unpacked(cls, vector: Float) -> Sampled:
+        """From `packed`."""
+        replicas, n, labels, covered = (int(v) for v in vector[:4])
+        names, rest = [int(v) for v in vector[4 : 4 + labels]], vector[4 + labels :]
+        values, rest = rest[: replicas * n].reshape(replicas, n), rest[replicas * n :]
+        covariance, rest = rest[: n * n].reshape(n, n), rest[n * n :]
+        loadings = rest.reshape(labels, covered, n)
+        return cls(values, covariance, dict(zip(names, loadings, strict=True)))
+
+
+def sample_of(tasks: Sequence[ShotPart], rows: Rows, covered: int) -> Float:
+    """`Sampled` of replicas of one shot, packed; covariance from the first ``covered`` tasks."""
+    every = blocks_of(tasks)
+    n = len(rows.keys)
+    covariance = np.zeros((n, n))
+    shared: dict[int, Float] = {}
+    for i, blocks in enumerate(every[:covered]):
+        order = rows.order(blocks)
+        own = MetricTable(tuple(replace(block, shared={}) for block in blocks)).covariance()
+        covariance += _ordered(own, order) / covered
+        table = MetricTable(tuple(blocks))
+        labels = sorted({label for block in blocks for label in block.shared})
+        for label, column in zip(labels, table.shared_columns().T, strict=True):
+            number = int(content_hash(label)[:LABEL_DIGITS], 16)
+            shared.setdefault(number, np.zeros((covered, n)))[i] = np.where(order < 0, 0.0, column[order])
+    return Sampled(np.array([rows.values(blocks) for blocks in every]), covariance, shared).packed()
+
+
+def _ordered(covariance: Float, order: NDArray[np.intp]) -> Float:
+    if not covariance.size:
+        return np.full((order.size, order.size), np.nan)
+    out = covariance[np.ix_(order, order)]
+    out[order < 0] = np.nan
+    out[:, order < 0] = np.nan
+    return np.asarray(out)
+
+
+def render_part(tasks: Sequence[ShotPart], rows: Rows) -> Float | None:
+    """Covariance of rows from the noise of a shot's render; None without one."""
+    (task,) = tasks
+    one = replace(task.setup, shot=replace(task.setup.shot, frames=1))
+
+    def measure(captures: Sequence[Capture]) -> Float:
+        try:
+            return rows.values([block for _, block in measure_shot(one.shot, captures, choices=task.choices)])
+        except InputError:
+            return rows.values([])
+
+    return render_covariance(task.model, one, measure)
+
+
+def blocks_of(tasks: Sequence[ShotPart]) -> list[list[Block]]:
+    """The blocks of tasks of one shot with equal choices; none where nothing of it can be measured."""
+    out: list[list[Block]] = []
+    step = max(1, HELD_PIXELS // _pixels(tasks[0])) if tasks else 1
+    for i in range(0, len(tasks), step):
+        part = tasks[i : i + step]
+        captures = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices) for t in part]
+        out += measure_shots(part[0].setup.shot, captures, choices=part[0].choices)
+    return out
+
+
+def _pixels(task: ShotPart) -> int:
+    shot, sensor = task.setup.shot, task.model.sensor
+    rows, cols = (shot.window or (0, 0, sensor.rows, sensor.cols))[2:]
+    return shot.frames * rows * cols

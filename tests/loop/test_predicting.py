@@ -1,0 +1,111 @@
+"""The predictor's ways to save time change no number: stacks, workers, the store."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isetval import load_model, simulate
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.scene import EdgeTarget, Spectrum
+from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
+from isetval.loop.prediction import Point, Predictor
+from isetval.loop.shot_task import Sampled
+from isetval.loop.telling import Teller
+from isetval.measure.campaign import measure_campaign, measure_shot, measure_shots
+
+LEVEL = "light_level@set-up:edge"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(data_folder() / "pixel4a" / "camera.toml")
+
+
+@pytest.fixture(scope="module")
+def plan(model):
+    shared = {"exposure": Exposure(0.01), "frames": 2, "light": "sphere"}
+    shots = (
+        Shot("dark", "dark", exposure=Exposure(0.01), frames=2, window=(1464, 1968, 32, 32)),
+        Shot("flat", "flat", window=(1464, 1968, 32, 32), **shared),
+        Shot("edge", "edge", window=(1464, 1968, 48, 48), target=EdgeTarget("edge", angle_deg=5.0), **shared),
+    )
+    level = Nuisance("light_level", 0.02, "relative", "set-up")
+    return Campaign("p", shots, lights={"sphere": Light("sphere", Spectrum.flat(0.004))}, nuisances=(level,), sensor=model.sensor)
+
+
+@pytest.fixture(scope="module")
+def table(model, plan):
+    return measure_campaign(simulate(model, plan, 3), summaries=False)
+
+
+def points(model):
+    noisier = model.with_values({"read_noise.sigma_e": 3.5})
+    return [Point(model), Point(model, {LEVEL: 0.01}), Point(noisier), Point(noisier, {LEVEL: -0.01})]
+
+
+def test_jobs_and_the_store_change_no_bit(model, plan, table, monkeypatch, tmp_path):
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+    told = []
+    made = []
+    for jobs in (1, 2, 1):  # the third finds all in the store
+        predictor = Predictor(plan, table, jobs=jobs, progress=lambda done, total: told.append((done, total)))
+        try:
+            base = predictor.base(Point(model), 6)
+            made.append((base.mean, base.covariance, *predictor.derivative_vectors(points(model))))
+        finally:
+            predictor.close()
+        if jobs == 2:
+            told.clear()
+        (tmp_path / "metrics").mkdir(exist_ok=True)
+        if not made[1:]:
+            for file in (tmp_path / "metrics").iterdir():
+                file.unlink()  # the workers of the second begin with nothing
+    for other in made[1:]:
+        for a, b in zip(made[0], other, strict=True):
+            assert a.tobytes() == b.tobytes()
+    assert not told
+
+
+def test_shots_measured_together_are_as_measured_alone(model, plan, table):
+    shot = plan.shots[2]
+    many = [simulate(model, plan, seed).captures["edge"] for seed in (1, 2, 3)]
+    many[1] = tuple(replace(c, mosaic=np.full_like(c.mosaic, 200)) for c in many[1])  # no edge at all
+    together = measure_shots(shot, many, choices=table.choices)
+    assert together[1] == []
+    for captures, blocks in zip([many[0], many[2]], [together[0], together[2]], strict=True):
+        ((_, alone),) = measure_shot(shot, captures, choices=table.choices)
+        np.testing.assert_allclose([m.value for m in blocks[0].metrics], [m.value for m in alone.metrics], rtol=1e-9)
+        np.testing.assert_allclose([m.sigma for m in blocks[0].metrics], [m.sigma for m in alone.metrics], rtol=1e-9)
+
+
+def test_the_base_is_the_mean_of_its_campaigns(model, plan, table, monkeypatch):
+    """Against campaigns shot and measured one by one: mean and stated covariance of the first four."""
+    monkeypatch.setenv("ISETVAL_CACHE", "off")
+    base = Predictor(plan, table).base(Point(model), 6)
+    tables = [measure_campaign(simulate(model, plan, 7000 + r), choices=table.choices, summaries=False) for r in range(6)]
+    keys = [m.key() for m in table.metrics]
+    values = np.array([[dict(zip((m.key() for m in t.metrics), t.values, strict=True))[k] for k in keys] for t in tables])
+    np.testing.assert_allclose(base.values, values, rtol=1e-9, atol=1e-12)
+    stated = np.mean([t.covariance() for t in tables[:4]], axis=0)
+    np.testing.assert_allclose(base.covariance, stated * np.outer(base.scale, base.scale), rtol=1e-9, atol=1e-15)
+
+
+def test_samples_survive_packing():
+    rng = np.random.default_rng(1)
+    sample = Sampled(rng.random((5, 3)), rng.random((3, 3)), {7: rng.random((2, 3)), 2**52 - 1: rng.random((2, 3))})
+    again = Sampled.unpacked(sample.packed())
+    assert np.array_equal(again.values, sample.values)
+    assert np.array_equal(again.covariance, sample.covariance)
+    assert all(np.array_equal(again.shared[key], part) for key, part in sample.shared.items())
+    assert Sampled.unpacked(Sampled(np.zeros((2, 0)), np.zeros((0, 0)), {}).packed()).shared == {}
+
+
+def test_progress_is_told_under_the_last_words():
+    heard = []
+    teller = Teller(lambda words: heard.append(words), lambda *all: heard.append(all))
+    assert Teller.of(teller) is teller
+    teller("shooting")
+    teller.counted(1, 4)
+    assert heard == ["shooting", ("shooting", 1, 4)]
