@@ -126,7 +126,7 @@ def _with_pages(outcome: Outcome, args: argparse.Namespace, console: Console, dr
         if suffix in (".pdf", ".png"):
             return measurement_picture(sheets, suffix[1:])
         return measurement_html(whole, headline_tables(whole["metrics"], files=whole.get("files"), sign="±"), sheets).encode(
-            "utf-8"
+            "utf-8", "backslashreplace"
         )
 
     return replace(outcome, result=result, lines=lines, page=page)
