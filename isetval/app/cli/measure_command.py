@@ -42,6 +42,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("--method", default="", help="another method than the estimators' own: iso12233:2017, iso12233:2023, lyu2022")
     p.add_argument("--channel", default="", help="one channel of edges and scenes: R, Gr, Gb, B or G (both greens)")
     p.add_argument("--roi", metavar="R0,R1,C0,C1", type=region, help="rows R0 to R1 and columns C0 to C1 of each file, half open")
+    p.add_argument("--regions", metavar="FILE", type=Path, help="the regions of a TOML file (isetval roi draws them)")
     p.add_argument("--gain-dn-per-e", type=float, metavar="K", help="stated conversion gain, for --role scene --method lyu2022")
     p.add_argument(
         "--black",
@@ -92,7 +93,9 @@ def measure(args: argparse.Namespace, console: Console) -> Outcome:
 
     limits = load_limits(args.limits) if args.limits else ()
     raw = _raw_settings(args)
-    if is_batch(args):
+    if args.regions is not None:
+        outcome = _drawn_regions(args, console)
+    elif is_batch(args):
         outcome = measure_batch(args, console, raw)
     elif len(args.paths) == 1 and raw is None and args.role is None and is_campaign(args.paths[0]):
         outcome = _measure_campaign(args, console)
@@ -105,6 +108,17 @@ def measure(args: argparse.Namespace, console: Console) -> Outcome:
     code = OUTSIDE_LIMITS if faults else outcome.code
     result = {**outcome.result, **({"outside_limits": faults} if limits else {})}
     return replace(outcome, result=result, lines=lines, code=code)
+
+
+def _drawn_regions(args: argparse.Namespace, console: Console) -> Outcome:
+    from isetval.app.cli.region_commands import measure_regions
+    from isetval.core.errors import InputError
+
+    paged = args.output is not None and Path(args.output).suffix.lower() in PAGE_SUFFIXES
+    given = {"--roi": args.roi, "--role": args.role, "--curves": args.curves, "--shard": args.shard, "a page": paged}
+    if named := [name for name, value in given.items() if value]:
+        raise InputError(f"--regions measures edges, patches and lines as drawn; leave out {', '.join(named)}")
+    return measure_regions(args, console)
 
 
 def _with_pages(outcome: Outcome, args: argparse.Namespace, console: Console, draw: Callable[[Note], list[Sheet]]) -> Outcome:

@@ -12,6 +12,7 @@ from isetval.app.cli.laboratory_commands import register as register_lab
 from isetval.app.cli.laboratory_commands import register_demo
 from isetval.app.cli.loop_commands import register as register_loop
 from isetval.app.cli.measure_command import register as register_measure
+from isetval.app.cli.region_commands import register as register_roi
 
 EPILOG = """\
 the loop:
@@ -64,6 +65,7 @@ def build_parser() -> argparse.ArgumentParser:
         register_show,
         register_cache,
         register_completion,
+        register_roi,
     ):
         group(commands, common)
     return parser

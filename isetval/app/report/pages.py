@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 
-def rendered(template: str, **content: Any) -> str:
+def rendered(template: str, *, script_name: str = "report.js", **content: Any) -> str:
     """A page that needs nothing beside itself."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
     from markupsafe import Markup
@@ -19,5 +19,5 @@ def rendered(template: str, **content: Any) -> str:
         lstrip_blocks=True,
     )
     folder = Path(__file__).parent / "templates"
-    style, script = (Markup((folder / name).read_text(encoding="utf-8")) for name in ("report.css", "report.js"))
+    style, script = (Markup((folder / name).read_text(encoding="utf-8")) for name in ("report.css", script_name))
     return environment.get_template(template).render(content, style=style, script=script)
