@@ -20,7 +20,16 @@ from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor
 
 Float = NDArray[np.float64]
+SAME_SIDE = 0.02  # of a sensor's height and width: shrinking a picture cuts off what is no whole pixel
 DEFAULT_WAVELENGTH_NM = np.arange(380.0, 741.0, 5.0)
+
+
+def same_field(mine: Sensor, theirs: Sensor) -> bool:
+    """Whether a sensor of other pixels has the size in mm, the colours and the levels of this one: a shrunk or binned picture."""
+    if mine.pixel_um == theirs.pixel_um or (mine.cfa == "MONO", mine.white_dn) != (theirs.cfa == "MONO", theirs.white_dn):
+        return False
+    sides = ((mine.rows, theirs.rows), (mine.cols, theirs.cols))
+    return all(abs(n * mine.pixel_um - m * theirs.pixel_um) <= SAME_SIDE * n * mine.pixel_um for n, m in sides)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,6 +119,14 @@ class CameraModel:
         if effect is None or parameter not in effect.values():
             raise InputError(f"model {self.name} has no parameter {key!r}")
         return effect.values()[parameter]
+
+    def sampled_as(self, sensor: Sensor | None) -> CameraModel:
+        """The model with the pixels of a shrunk or binned picture of its sensor; itself for any other sensor.
+
+        Places in the field are then right.  A pixel gathers the light of its larger area: levels belong to lights whose
+        scale was found with this very model.
+        """
+        return self if sensor is None or not same_field(self.sensor, sensor) else replace(self, sensor=sensor)
 
     def content(self) -> tuple[Any, ...]:
         """All that decides what the model predicts."""

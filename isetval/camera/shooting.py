@@ -70,7 +70,9 @@ def simulate(
             progress(shot.name, i + 1, len(plan.shots))
     made = {"model": model.name, "model_sha256": model.digest(), "seed": seed, "nuisances": values}
     shots = tuple(replace(shot, given=None) for shot in plan.shots)  # what somebody measured is not simulated
-    return replace(plan, shots=shots, captures=captures, sensor=model.sensor, provenance=dict(plan.provenance) | made)
+    return replace(
+        plan, shots=shots, captures=captures, sensor=model.sampled_as(plan.sensor).sensor, provenance=dict(plan.provenance) | made
+    )
 
 
 def shoot(
@@ -87,6 +89,7 @@ def shoot(
 
     ``rendering(done, total, words)`` is called after every pass of a renderer.
     """
+    model = model.sampled_as(plan.sensor)
     check_sensor(model, plan)
     values = values or {}
     camera = camera_with(model, plan, values)
@@ -102,7 +105,7 @@ def shoot(
 
 
 def check_sensor(model: CameraModel, plan: Campaign) -> None:
-    """Refuse a plan that was made for another sensor."""
+    """Refuse a plan that was made for another sensor; larger pixels on the same sensor are `CameraModel.sampled_as`'s affair."""
     if plan.sensor is None:
         return
     mine, theirs = model.sensor, plan.sensor

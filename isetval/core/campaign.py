@@ -144,7 +144,8 @@ class Shot:
     names the shot that this one repeats with a newly made set-up.  ``method`` and ``channel`` ask an estimator for
     another method than its own, or for one channel only: a simulation of the shot is then measured by the same.
     ``photons_per_pixel`` is what a calibrated light is stated to send to a pixel in one exposure (EMVA 1288).
-    ``given`` are metrics that somebody else measured of this set-up, in place of or beside captures.
+    ``given`` are metrics that somebody else measured of this set-up, in place of or beside captures.  Of ``levels_only``
+    captures (resampled pictures) means alone are the sensor's: no noise and no sharpness is measured.
     """
 
     name: str
@@ -166,6 +167,7 @@ class Shot:
     channel: str = ""
     photons_per_pixel: float | None = None
     given: GivenMetrics | None = None
+    levels_only: bool = False
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -16,6 +17,8 @@ from isetval.core.errors import InputError
 from isetval.core.sensor import Roi, RoiLike
 
 Float = NDArray[np.float64]
+FWHM_SIGMAS = math.sqrt(8 * math.log(2))  # full width of a Gaussian at half maximum
+BAND_SIGMAS, BAND_POINTS = 4.0, 81  # 6e-5 of the light lies beyond; steps of a tenth of a sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +105,14 @@ def read_spectra(path: Path | str) -> Mapping[str, Spectrum]:
         raise InputError(f"{path}: {error}") from None
 
 
+def narrow_band(peak_nm: float, width_nm: float, scale: float = 1.0) -> Spectrum:
+    """A Gaussian band, as of a filter: ``width_nm`` is its full width at half maximum, ``scale`` its value at ``peak_nm``."""
+    offset = np.linspace(-BAND_SIGMAS, BAND_SIGMAS, BAND_POINTS)
+    values = np.exp(-(offset**2) / 2)
+    values[[0, -1]] = 0.0  # a table is held at its ends
+    return Spectrum(peak_nm + width_nm / FWHM_SIGMAS * offset, scale * values)
+
+
 ORIENTATIONS = ("vertical", "horizontal")
 
 
@@ -154,6 +165,7 @@ class ChartTarget:
 
     ``outline`` (row0, row1, col0, col1) in the window is where the chart ends and its ``background`` begins, to which no
     border is set (None: the surround has no end).
+    ``disks`` are boxes around printed disks whose places and edges are measured; only the patches are simulated.
     """
 
     name: str
@@ -162,6 +174,7 @@ class ChartTarget:
     margin_px: int = 4
     background: Spectrum | None = None
     outline: RoiLike | None = None
+    disks: tuple[RoiLike, ...] = ()
 
     def __post_init__(self) -> None:
         if (self.background is None) != (self.outline is None):

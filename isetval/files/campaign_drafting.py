@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isetval.camera.model import CameraModel
-from isetval.core.scene import Spectrum
+from isetval.core.scene import Spectrum, narrow_band
 from isetval.core.sensor import RoiLike, Sensor, Window, pattern_at
 from isetval.files.draft_types import DraftLight, DraftShot, DraftTarget, Seen
 from isetval.files.file_facts import FileFacts
@@ -17,14 +17,15 @@ from isetval.files.folder_words import PUBLISHED
 from isetval.files.light_levels import dark_levels, green_dn, green_rate, known_exposure, lit_setups, scale_for
 from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup, repeats
+from isetval.files.spectra_search import FolderSpectra, chart_reflectances
 
 WHITE, BRIGHT = 0.9, 0.8  # reflectance of a chart's white patch, and of an edge's bright side where no flat tells
-WHITE_PATCH = 18  # of 24, counted from 0
 WHITE_CLIPS = 0.9  # of the range: noise and the chart's own unevenness reach white beyond
 LARGE_PX = 1_000_000  # frames beyond are looked at in parts: a fit shoots every pixel of a plan a hundred times
 MIDDLE_PART_PX, FIELD_PART_PX = 256, 64  # darks and flats share the middle, so that read noise and gain belong together
 FIELD_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5),
                 (0.95, 0.95), (-0.95, 0.95), (0.95, -0.95), (-0.95, -0.95))  # fmt: skip
+BAND_NM = 10.0  # full width of the filters that laboratories buy for narrow bands; a measured table takes its place
 SURROUND_PX = 24  # of a registered region: what its lens blurs into it
 
 
@@ -35,6 +36,7 @@ class Drafting:
     sensor: Sensor
     model: CameraModel | None
     spectra: Mapping[str, Spectrum]
+    folder_spectra: FolderSpectra
     seen: Sequence[Seen]
     shots: list[DraftShot] = field(default_factory=list)
     targets: list[DraftTarget] = field(default_factory=list)
@@ -62,9 +64,15 @@ def placed(fact: FileFacts, sensor: Sensor) -> Window:
     return Window(0, 0, rows, cols)
 
 
-def drafted(seen: Sequence[Seen], sensor: Sensor, model: CameraModel | None, spectra: Mapping[str, Spectrum]) -> Drafting:
-    """All shots of a folder that a campaign can hold."""
-    work = Drafting(sensor, model, spectra, seen)
+def drafted(
+    seen: Sequence[Seen],
+    sensor: Sensor,
+    model: CameraModel | None,
+    spectra: Mapping[str, Spectrum],
+    folder_spectra: FolderSpectra | None = None,
+) -> Drafting:
+    """All shots of a folder that a campaign can hold; ``folder_spectra`` are the tables that lie in it."""
+    work = Drafting(sensor, model, spectra, folder_spectra or FolderSpectra(), seen)
     number = {id(one.group): i for i, one in enumerate(seen)}
     by_role: dict[str, list[ShotGroup]] = {}
     for one in seen:
@@ -127,16 +135,28 @@ def _add_plain(
         work.add(index, DraftShot(_name(work, role), role, group, part, setup, comment, light, level))
 
 
-def _add_light(work: Drafting, name: str, group: ShotGroup, white_dn: float) -> DraftLight:
-    """A light with the published spectrum of its name, scaled so that the camera model sees what the files hold."""
+def _add_light(work: Drafting, name: str, group: ShotGroup, white_dn: float, channel: str = "G") -> DraftLight:
+    """A light with the spectrum of its name, scaled so that the camera model sees ``white_dn`` in ``channel`` as the files do."""
     if name not in work.lights:
-        column = name if name in PUBLISHED.values() else "E"
+        light, spectrum = _unscaled_light(work, name, group)
         scale = None
         if work.model is not None and white_dn > 0:
             known = known_exposure(group)
-            scale = scale_for(work.model, known, placed(group.first, work.sensor), work.spectra[column], white_dn)
-        work.lights[name] = DraftLight(name, column, 1e-4 if scale is None else scale, scale is not None)
+            scale = scale_for(work.model, known, placed(group.first, work.sensor), spectrum, white_dn, channel)
+        work.lights[name] = replace(light, scale=1e-4 if scale is None else scale, level_known=scale is not None)
     return work.lights[name]
+
+
+def _unscaled_light(work: Drafting, name: str, group: ShotGroup) -> tuple[DraftLight, Spectrum]:
+    """The spectrum of a light: measured, in the folder; else a narrow band at the stated wavelength; else the published one."""
+    wavelength = group.first.wavelength_nm
+    measured = work.folder_spectra.band(wavelength)
+    if measured is not None:
+        return DraftLight(name, measured[1], 1.0, False, file=measured[0]), measured[2]
+    if wavelength:
+        return DraftLight(name, "", 1.0, False, band_nm=(wavelength, BAND_NM)), narrow_band(wavelength, BAND_NM)
+    column = name if name in PUBLISHED.values() else "E"
+    return DraftLight(name, column, 1.0, False), work.spectra[column]
 
 
 def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[float | None, float]) -> None:
@@ -202,14 +222,16 @@ def _add_charts(work: Drafting, groups: Sequence[ShotGroup], number: Mapping[int
     for light in dict.fromkeys(group.words.light or "light" for group in groups):
         own = [group for group in groups if (group.words.light or "light") == light]
         white: dict[str, tuple[float, ShotGroup]] = {}
+        poses = [(work.seen[number[id(group)]].content.chart, group) for group in own]
+        channel = _brightest_channel(poses) if own[0].first.wavelength_nm else 1
         for setup in dict.fromkeys(map(_setup, own)):
-            exposures = [(_white_dn(work.seen[number[id(g)]].content.chart), g) for g in own if _setup(g) == setup]
+            exposures = [(_white_dn(pose, channel), g) for pose, g in poses if _setup(g) == setup]
             clear = [e for e in exposures if e[0] < WHITE_CLIPS * e[1].first.span_dn] or [min(exposures, key=lambda e: e[0])]
             best = max(clear, key=lambda e: e[0])
             white[setup] = (best[0] / _light_time(best[1]), best[1])
         rate, first = max(white.values(), key=lambda pair: pair[0])
         reference = work.rates.get(light, rate / WHITE)
-        _add_light(work, light, first, reference * _light_time(first))
+        _add_light(work, light, first, reference * _light_time(first), "RGB"[channel])
         one_place = len({placed(g.first, work.sensor) for g in own}) == 1
         for group in own:
             level = white[_setup(group)][0] / WHITE / reference if one_place and reference > 0 else 1.0
@@ -220,14 +242,16 @@ def _add_chart(work: Drafting, index: int, group: ShotGroup, light: str, level: 
     chart = work.seen[index].content.chart
     if chart is None:
         return
-    name, window = _name(work, "chart"), placed(group.first, work.sensor)
+    window = placed(group.first, work.sensor)
     rows, cols = (np.array([box[k] for box in chart.boxes]) for k in (slice(0, 2), slice(2, 4)))
     pitch = int(np.median(rows[:, 1] - rows[:, 0]))
     outline = (max(0, int(rows.min()) - pitch), int(rows.max()) + pitch, max(0, int(cols.min()) - pitch), int(cols.max()) + pitch)
     part, moved = _cut(window, outline, work.sensor)
-    work.targets.append(_chart_target(name, chart, moved))
-    comment = f"{work.seen[index].content.why}, turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane"
-    work.add(index, DraftShot(name, "chart", group, part, _setup(group), comment, light, level, name))
+    target = _chart_target(work, chart, moved)
+    name = _name(work, "chart")
+    pose = f", turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane" if not chart.disks else ""
+    comment = work.seen[index].content.why + pose
+    work.add(index, DraftShot(name, "chart", group, part, _setup(group), comment, light, level, target))
 
 
 def _light_time(group: ShotGroup) -> float:
@@ -235,20 +259,37 @@ def _light_time(group: ShotGroup) -> float:
     return (group.first.exposure.time_s or 1.0) * (group.first.exposure.iso or 100.0) / 100.0
 
 
-def _white_dn(chart: ChartPose | None) -> float:
-    """Green of the white patch above black."""
-    return 0.0 if chart is None else float(chart.levels_dn[WHITE_PATCH, 1])
+def _white_dn(chart: ChartPose | None, channel: int) -> float:
+    """Level of the white patch above black."""
+    return 0.0 if chart is None else float(chart.levels_dn[chart.white, channel])
 
 
-def _chart_target(name: str, chart: ChartPose, moved: tuple[int, int]) -> DraftTarget:
+def _brightest_channel(poses: Sequence[tuple[ChartPose | None, ShotGroup]]) -> int:
+    """0 to 2 for R, G, B: the one in which a narrow band is brightest, by the longest exposure that leaves all of them open."""
+    white = [np.array([_white_dn(pose, k) for k in range(3)]) for pose, _ in poses]
+    clear = [w for w, (_, g) in zip(white, poses, strict=True) if w.max() < WHITE_CLIPS * g.first.span_dn]
+    return int(np.argmax(max(clear or white, key=lambda w: float(w.max()) if clear else -float(w.max()))))
+
+
+def _chart_target(work: Drafting, chart: ChartPose, moved: tuple[int, int]) -> str:
+    """The name of the chart's table: that of another shot where it stands at the very same place."""
     boxes = [(r0 - moved[0], r1 - moved[0], c0 - moved[1], c1 - moved[1]) for r0, r1, c0, c1 in chart.boxes]
-    reflectance = published_reflectances()
+    name = f"chart_{1 + sum(target.table['kind'] == 'chart' for target in work.targets):02d}"
+    reflectance = chart.reflectances or chart_reflectances(work.folder_spectra, chart.names) or published_reflectances()
     patches = tuple(zip(chart.names, boxes, reflectance, strict=True))
     comment = f"patches are {chart.side:.3f} of their pitch; centres agree with one plane to {chart.error_px:.2f} px"
-    return DraftTarget(name, {"kind": "chart", "margin_px": chart.margin_px, "surround": 0.05}, patches, comment)
+    table: dict[str, object] = {"kind": "chart", "margin_px": chart.margin_px, "surround": 0.05}
+    if chart.disks:
+        comment = "reflectances are read off the picture, the sheet taken for its brightest; they differ from light to light"
+        table["surround"] = max(chart.reflectances)
+        table["disks"] = [[r0 - moved[0], r1 - moved[0], c0 - moved[1], c1 - moved[1]] for r0, r1, c0, c1 in chart.disks]
+    same = next((t.name for t in work.targets if (t.table, t.patches) == (table, patches)), None)
+    if same is None:
+        work.targets.append(DraftTarget(name, table, patches, comment))
+    return same or name
 
 
-def published_reflectances() -> list[float]:
+def published_reflectances() -> list[float | str]:
     """Luminous reflectance of the 24 patches by their published colours: right for greys, flat where a patch is coloured."""
     from isetval.measure.color.chart_layout import linear_rgb
 

@@ -14,7 +14,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
-from isetval.core.scene import Spectrum, Target, read_spectra
+from isetval.core.scene import Spectrum, Target, narrow_band, read_spectra
 from isetval.core.sensor import Exposure, Sensor, Window
 from isetval.core.toml import check_keys, inside, named_file, number, numbers, read_toml, text, texts
 from isetval.files.captures import FileCaptures
@@ -29,7 +29,7 @@ METRIC_KEYS = ("metric", "column", "sigma", "edge", "correlation_length", "covar
 _SHOT_KEYS = (
     "name", "role", "measurement_session", "setup", "light", "light_level", "exposure_s", "iso", "rotation_deg", "window",
     "size", "frames", "files", "target", "focus_um", "focus_m", "distance_m", "repeat_of", "method", "channel",
-    "photons_per_pixel", "notes", "metrics", *METRIC_KEYS,
+    "photons_per_pixel", "levels_only", "notes", "metrics", *METRIC_KEYS,
 )  # fmt: skip
 _NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "setups", "notes")
 
@@ -199,8 +199,11 @@ def _tables(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]
 
 def _light(name: str, entry: Any, path: Path) -> Light:
     where = f"{path}: [light.{name}]"
-    entry = check_keys(entry, where, known=("radiance", "column", "scale", "notes"), needed=("radiance",))
-    radiance, scale = entry["radiance"], number(entry, "scale", where, 1.0)
+    entry = check_keys(entry, where, known=("radiance", "column", "scale", "peak_nm", "width_nm", "notes"))
+    scale = number(entry, "scale", where, 1.0)
+    if "radiance" not in entry:
+        return Light(name, _band(entry, where, scale))
+    radiance = entry["radiance"]
     if isinstance(radiance, int | float) and not isinstance(radiance, bool):
         return Light(name, Spectrum.flat(float(radiance) * scale))
     file = text(entry, "radiance", where)
@@ -210,6 +213,16 @@ def _light(name: str, entry: Any, path: Path) -> Light:
         raise InputError(f"{where}: {file} has no column {column!r}; it has {', '.join(spectra)}")
     scaled = Spectrum(spectra[column].wavelength_nm, spectra[column].values * scale) if scale != 1 else spectra[column]
     return Light(name, scaled, file=str(named_file(file, path.parent)), column=column)
+
+
+def _band(entry: Mapping[str, Any], where: str, scale: float) -> Spectrum:
+    """A light through a filter: ``peak_nm`` and ``width_nm``."""
+    if "peak_nm" not in entry or "width_nm" not in entry:
+        raise InputError(f"{where}: radiance is missing; name a table of spectra, or peak_nm and width_nm of a narrow band")
+    peak, width = number(entry, "peak_nm", where), number(entry, "width_nm", where)
+    if not (peak > 0 and width > 0):
+        raise InputError(f"{where}: peak_nm is {peak:g} and width_nm {width:g}; both need to be above 0")
+    return narrow_band(peak, width, scale)
 
 
 def _nuisance(entry: Any, where: str) -> Nuisance:
@@ -266,9 +279,17 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
             method="" if "metrics" in entry else text(entry, "method", where),
             channel="" if "metrics" in entry else text(entry, "channel", where),
             photons_per_pixel=_optional(entry, "photons_per_pixel", where),
+            levels_only=_yes_or_no(entry, "levels_only", where),
         )
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+
+
+def _yes_or_no(entry: Mapping[str, Any], key: str, where: str) -> bool:
+    value = entry.get(key, False)
+    if not isinstance(value, bool):
+        raise InputError(f"{where}: {key} is {value!r}; it needs true or false")
+    return value
 
 
 def _given(entry: Mapping[str, Any], where: str, sensor: Sensor, path: Path) -> GivenMetrics:

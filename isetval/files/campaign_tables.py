@@ -109,6 +109,7 @@ def shot_table(shot: Shot, target: str, files: tuple[str, ...]) -> dict[str, Any
         "method": shot.method or None,
         "channel": shot.channel or None,
         "photons_per_pixel": shot.photons_per_pixel,
+        "levels_only": shot.levels_only or None,
         "frames": len(files) or shot.frames,
         "files": list(files) or None,
     }
@@ -147,6 +148,7 @@ def _chart(target: ChartTarget, name: str, spectra: Spectra) -> dict[str, Any]:
         "kind": "chart",
         "surround": spectra.reference(target.surround, f"{name}_surround"),
         "margin_px": target.margin_px,
+        **({"disks": [list(box) for box in target.disks]} if target.disks else {}),
     }
     if target.background is not None and target.outline is not None:
         table["background"] = spectra.reference(target.background, f"{name}_background")

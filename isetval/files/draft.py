@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from isetval.camera.model import CameraModel
+from isetval.camera.model import CameraModel, same_field
 from isetval.core.errors import InputError
 from isetval.core.scene import read_spectra
 from isetval.core.sensor import Sensor
@@ -19,18 +19,27 @@ from isetval.core.writing import write_whole
 from isetval.files.campaign_drafting import Drafting, drafted
 from isetval.files.draft_priors import camera_words, light_priors, target_priors
 from isetval.files.draft_text import draft_text
-from isetval.files.draft_types import Draft, DraftPrior, Seen
+from isetval.files.draft_types import Draft, DraftLight, DraftPrior, Seen
 from isetval.files.file_facts import FileFacts
-from isetval.files.folder_reading import read_folder
+from isetval.files.folder_reading import FolderFacts, read_folder
 from isetval.files.light_levels import dark_levels, lit_setups
 from isetval.files.recognition import recognize_all
+from isetval.files.spectra_search import FolderSpectra, chart_reflectances, find_spectra
+from isetval.measure.color.chart_layout import PATCH_NAMES
 
 Progress = Callable[[str, int, int], None]
 UNKNOWN_PITCH_UM = 1.0  # what a reader states where a file does not
 
 
 def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str = "", progress: Progress | None = None) -> Draft:
-    """A campaign of the raw files of a folder, at all levels.
+    """The first of `draft_campaigns`: of a folder of one camera whose files have one size of pixels, the only one."""
+    return draft_campaigns(folder, role=role, camera=camera, progress=progress)[0]
+
+
+def draft_campaigns(
+    folder: Path | str, *, role: str | None = None, camera: str = "", progress: Progress | None = None
+) -> tuple[Draft, ...]:
+    """Campaigns of the raw files of a folder, at all levels: one for each size of pixels.
 
     Parameters
     ----------
@@ -43,8 +52,8 @@ def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str =
 
     Returns
     -------
-    Draft
-        `write_draft` writes its text.
+    tuple of Draft
+        `write_draft` writes the text of each.
 
     Raises
     ------
@@ -53,10 +62,36 @@ def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str =
     """
     folder = Path(folder)
     model, named = _camera(camera, folder)
-    found = read_folder(folder, progress=progress)
+    found = read_folder(folder, progress=progress).parts()
+    spectra = find_spectra(folder)
+    drafts = []
+    for number, part in enumerate(found, 1):
+        try:
+            models = (model, named or camera, named)
+            drafts.append(_draft(folder, part, role=role, models=models, spectra=spectra, progress=progress))
+        except InputError as error:  # the first part stands for the folder; another that fails is told with it
+            if number == 1:
+                raise
+            words = f"{len(part.facts)} files with pixels of {part.facts[0].sensor.pixel_um:g} um make no campaign: {error}"
+            drafts[0] = replace(drafts[0], notes=(*drafts[0].notes, words))
+    return tuple(replace(one, number=i, name=one.name + (f"_{i}" if i > 1 else "")) for i, one in enumerate(drafts, 1))
+
+
+def _draft(
+    folder: Path,
+    found: FolderFacts,
+    *,
+    role: str | None,
+    models: tuple[CameraModel | None, str, str],
+    spectra: FolderSpectra,
+    progress: Progress | None,
+) -> Draft:
+    """The campaign of the files of one size of pixels."""
+    nominal, camera, named = models
     seen = recognize_all(found, role=role, progress=progress)
-    sensor = _sensor(found.facts, model, camera)
-    work = drafted(seen, sensor, model, read_spectra(data_folder() / "spectra" / "illuminants.csv"))
+    sensor = _sensor(found.facts, nominal, camera)
+    model = None if nominal is None else nominal.sampled_as(sensor)
+    work = drafted(seen, sensor, model, read_spectra(data_folder() / "spectra" / "illuminants.csv"), spectra)
     used = tuple(replace(one, shots=tuple(work.made.get(i, ()))) for i, one in enumerate(seen))
     if not work.shots:
         raise InputError(f"{folder}: no file shows a dark, a flat, a chart or an edge; the first: {seen[0].content.why}")
@@ -69,12 +104,13 @@ def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str =
         tuple(work.targets),
         tuple(work.lights.values()),
         _priors(work, used),
-        tuple(_unknown(work, used, found.facts, named or camera)),
+        tuple(_unknown(work, used, found.facts, camera)),
         tuple(camera_words([one.group for one in used if one.content.role == "dark"], found.captures)),
         used,
         (*found.refused, *(pair for pair in found.captures.skipped if pair not in found.refused)),
         found.notes,
         found.facts[0].camera,
+        resampled=nominal is not None and sensor is not nominal.sensor,
     )
 
 
@@ -84,9 +120,9 @@ def write_draft(draft: Draft, folder: Path | str) -> Path:
     Raises
     ------
     InputError
-        If ``campaign.toml`` exists or cannot be written.
+        If its file exists or cannot be written.
     """
-    path = Path(folder) / "campaign.toml"
+    path = Path(folder) / draft.file
     for file in (path, path.with_suffix(".html")):  # the page is written next
         if file.exists():
             raise InputError(f"{file}: exists already; rename it first (nothing was written)")
@@ -113,6 +149,8 @@ def _sensor(facts: Sequence[FileFacts], model: CameraModel | None, camera: str) 
     if model is None:
         return largest
     mine = model.sensor
+    if same_field(mine, largest):
+        return largest
     if mine.rows < largest.rows or mine.cols < largest.cols or mine.white_dn != largest.white_dn:
         raise InputError(
             f"{camera}: its sensor has {mine.rows} x {mine.cols} pixels and white at {mine.white_dn:g} DN, the files "
@@ -130,6 +168,14 @@ def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:
     return (*light_priors(flats, setups, sorted(again), list(work.lights.values()), roles), *target_priors(roles))
 
 
+def _spectrum_words(light: DraftLight) -> str:
+    if light.file:
+        return f"{light.column} of {light.file}, scaled"
+    if light.band_nm is not None:
+        return f"a band of {light.band_nm[1]:g} nm at {light.band_nm[0]:g} nm"
+    return f"published {light.column}" if light.column != "E" else "equal energy"
+
+
 def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], camera: str) -> list[tuple[str, str, str]]:
     """What no file says: what it is, what it needs, what happens without."""
     out = []
@@ -137,12 +183,12 @@ def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], c
         needs = 'the nominal model of this camera, camera = "camera.toml" in this folder.'
         out.append(("camera", needs, "the campaign can be measured, not compared or diagnosed."))
     for light in work.lights.values():
-        told = f"published {light.column}" if light.column != "E" else "equal energy"
-        needs = f"a CSV of its spectral radiance in W/(sr m2 nm), in place of radiance, column and scale. Now: {told}."
+        now = _spectrum_words(light)
+        needs = f"a CSV of its spectral radiance in W/(sr m2 nm), in place of radiance, column and scale. Now: {now}."
         without = "colour ratios carry its wide prior and tell little of filters and quantum efficiency."
         out.append((f"[light.{light.name}]", needs, without))
     roles = {shot.role for shot in work.shots}
-    if "chart" in roles:
+    if "chart" in roles and chart_reflectances(work.folder_spectra, PATCH_NAMES) is None:
         needs = 'the chart\'s own reflectances (reflectance = "chart.csv" with a column for each patch).'
         without = "coloured patches are taken for greys of their luminance, so nothing can be said of colour."
         out.append(("[target.chart_*]", needs, without))

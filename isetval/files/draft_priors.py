@@ -15,9 +15,11 @@ from isetval.files.light_levels import LitSetup
 from isetval.files.shot_grouping import ShotGroup
 
 LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady
+NARROW_QE = 0.5  # ours: data sheets draw a filter's curve for its middle, not for its foot
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
 BOW_SHARE = 0.25  # of the tilt's width: ratios of black bodies 2700 to 3000 K and 5500 to 6500 K bend by .14 to .26 of their tilt
+LEAST_DARK_DN = 0.5  # mean of a dark without an offset: fewer than half of its pixels leave code 0
 DARK_SIDE_PX = 256  # 65 536 pixels give read noise to .3 %
 
 
@@ -72,11 +74,15 @@ def light_priors(
         out.append(
             DraftPrior(f"light_tilt_{axis}", 0.01, "relative", "measurement session", "CHECK: evenness of the field", ("flat",))
         )
-    guessed = tuple(light.name for light in lights if not light.told)
+    guessed = tuple(light.name for light in lights if not light.told and not light.narrow)
     if guessed:
         words = "the level of a light whose radiance nobody stated; drop it once the spectrum is filled in"
         out.append(DraftPrior("light_level", 0.2, "relative", "campaign", words, lit, guessed))
-    for light in lights:
+    for light in (light for light in lights if light.narrow):
+        for color in ("red", "green", "blue"):
+            words = f"CHECK: {light.name}: what no camera model knows of its filters in so narrow a band"
+            out.append(DraftPrior(f"qe_{color}", NARROW_QE, "relative", "campaign", words, (), (light.name,)))
+    for light in (light for light in lights if not light.narrow):
         width = 0.2 if light.column == "E" else 0.05
         words = f"CHECK: {light.name} is taken for {light.column}; .02 once its spectrum is measured"
         out.append(DraftPrior("spectrum_tilt", width, "relative per 100 nm", "measurement session", words, (), (light.name,)))
@@ -112,6 +118,9 @@ def camera_words(darks: Sequence[ShotGroup], captures: FileCaptures) -> list[str
     out = []
     for session in dict.fromkeys(group.session for group in darks):
         own = [group for group in darks if group.session == session]
+        if (cut := _cut_off(own)) is not None:
+            out.append(f"visit {session}: {cut}")
+            continue
         window = own[0].first.window
         frames = [_middle(c) for g in own if g.first.window == window for f in g.files if (c := captures.take("", f)) is not None]
         try:
@@ -134,6 +143,23 @@ def camera_words(darks: Sequence[ShotGroup], captures: FileCaptures) -> list[str
         ]
         out.append(f"visit {session}: {', '.join(parts)} (mean of the planes, from {len(frames)} dark frames)")
     return out
+
+
+def _cut_off(darks: Sequence[ShotGroup]) -> str | None:
+    """The sentence for darks at code 0: what is left of them is no read noise and no black level."""
+    at_zero = [group for group in darks if max(group.first.levels_dn) < LEAST_DARK_DN and min(_blacks(group)) <= 0]
+    if not at_zero:
+        return None
+    times = ", ".join(f"{t:g} s" for t in sorted({g.first.exposure.time_s or 0.0 for g in at_zero}))
+    mean = max(max(g.first.levels_dn) for g in at_zero)
+    return (
+        f"the darks of {times} stand at code 0 (means up to {mean:.2g} DN): their noise is cut off below, so that they give no "
+        "read noise and no black level; record with an offset, or state both"
+    )
+
+
+def _blacks(group: ShotGroup) -> tuple[float, ...]:
+    return tuple(level for row in group.first.sensor.black_dn for level in row)
 
 
 def _middle(capture: Capture) -> Capture:

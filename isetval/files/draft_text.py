@@ -94,19 +94,24 @@ def _found(draft: Draft) -> list[str]:
 
 
 def _camera(draft: Draft) -> list[str]:
-    if draft.camera:
-        return [f"camera = {quoted(draft.camera)}", ""]
+    named = [f"camera = {quoted(draft.camera)}", ""] if draft.camera else []
+    if named and not draft.resampled:
+        return named
     s = draft.sensor
     entries: dict[str, object] = {
         "rows": s.rows, "cols": s.cols, "pixel_um": float(s.pixel_um), "cfa": s.cfa,
         "black_dn": [[float(v) for v in row] for row in s.black_dn], "white_dn": float(s.white_dn), "bits": s.bits,
     }  # fmt: skip
-    return [*_table("[sensor]", entries), ""]
+    words = "the pictures' own pixels: larger than the camera's, on the same sensor" if draft.resampled else ""
+    return [*named, *comment(words), *_table("[sensor]", entries), ""]
 
 
 def _light(light: DraftLight) -> list[str]:
     known = "scaled to what the camera model sees" if light.level_known else "its scale is a guess: no camera model was given"
-    entries = {"radiance": ILLUMINANTS, "column": light.column, "scale": float(f"{light.scale:.6g}")}
+    entries: dict[str, object] = {"radiance": light.file or ILLUMINANTS, "column": light.column}
+    if light.band_nm is not None:
+        entries = {"peak_nm": light.band_nm[0], "width_nm": light.band_nm[1]}
+    entries["scale"] = float(f"{light.scale:.6g}")
     return [*comment(f"CHECK: {light.name}: {known}"), *_table(f"[light.{_key(light.name)}]", entries), ""]
 
 
@@ -150,6 +155,7 @@ def _shot(shot: DraftShot) -> list[str]:
         "distance_m": words.distance_m,
         "window": list(shot.window),
         "repeat_of": shot.repeat_of,
+        "levels_only": fact.levels_only or None,
         "files": list(shot.group.files),
     }
     mean = 100 * shot.group.level_dn / fact.span_dn

@@ -26,13 +26,24 @@ class DraftTarget:
 
 @dataclass(frozen=True)
 class DraftLight:
-    """A light: a published column or none (equal energy), and its scale; ``level_known`` says whether a camera gave it."""
+    """A light and its scale; ``level_known`` says whether a camera gave it.
+
+    Its spectrum is a column of ``file`` (empty: the published ones), or a narrow band (peak and width in nm); ``told``
+    says whether its level is stated.
+    """
 
     name: str
     column: str
     scale: float
     level_known: bool
     told: bool = False
+    file: str = ""
+    band_nm: tuple[float, float] | None = None
+
+    @property
+    def narrow(self) -> bool:
+        """Whether it is a band of a filter rather than a white light."""
+        return bool(self.file) or self.band_nm is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +104,8 @@ class Draft:
     """A drafted campaign.
 
     ``unknown`` are (what, what it needs, what happens without it); ``found`` are sentences on what the files say of the
-    camera; ``seen`` all groups of files; ``skipped`` files that could not be used, with the reason.
+    camera; ``resampled`` that its sensor has larger pixels than the camera's; ``seen`` all groups of files; ``skipped``
+    files that could not be used, with the reason.
     """
 
     folder: Path
@@ -111,3 +123,10 @@ class Draft:
     notes: tuple[str, ...] = ()
     maker: str = ""
     told: Mapping[str, str] = field(default_factory=dict)
+    resampled: bool = False
+    number: int = 1
+
+    @property
+    def file(self) -> str:
+        """The name of its file: a folder's second campaign stands beside the first."""
+        return "campaign.toml" if self.number == 1 else f"campaign_{self.number}.toml"

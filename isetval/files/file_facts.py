@@ -33,7 +33,8 @@ class FileFacts:
     ``levels_dn`` are the means of the planes above black, ``level_sigma_dn`` the largest of their sigmas from
     pixel noise; ``blocks_dn`` are block means above black, all colours together, with ``block_sigma_dn``;
     ``clipped`` is the share of pixels at white; ``placed`` whether the file states its place on the sensor;
-    ``taken`` is the date and time that it or its name states; ``wavelength_nm`` and ``labels`` are those of its sidecar.
+    ``taken`` is the date and time that it or its name states; ``wavelength_nm``, ``labels`` and ``levels_only``
+    (a resampled picture) are those of its sidecar.
     """
 
     file: str
@@ -52,6 +53,7 @@ class FileFacts:
     rotation_deg: float = 0.0
     wavelength_nm: float | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    levels_only: bool = False
 
     @property
     def place(self) -> str:
@@ -102,6 +104,7 @@ def facts_of(file: str, folder: str, capture: Capture, *, rotation_deg: float = 
         rotation_deg,
         about.get("wavelength_nm") or _wavelength_in_name(file),
         about.get("labels") or {},
+        bool(about.get("levels_only", False)),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from isetval.core.errors import InputError
@@ -19,13 +19,23 @@ PICTURES = (".jpg", ".jpeg", ".heic", ".mp4", ".tif", ".tiff", ".png", ".npy")  
 
 @dataclass(frozen=True, eq=False)
 class FolderFacts:
-    """What a folder holds: facts of the files of one camera, captures to look at again, and what was left out and why."""
+    """What a folder holds: facts of the files of one camera, captures to look at again, and what was left out and why.
+
+    ``others`` are files of the same levels with pixels of another size (resampled or binned pictures): they need a
+    campaign of their own, since a campaign has one sensor.
+    """
 
     folder: Path
     facts: tuple[FileFacts, ...]
     captures: FileCaptures
     refused: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
+    others: tuple[tuple[FileFacts, ...], ...] = ()
+
+    def parts(self) -> tuple[FolderFacts, ...]:
+        """The folder once for each size of pixels; what was left out is told with the first."""
+        own = replace(self, others=())
+        return (own, *(replace(own, facts=facts, refused=(), notes=()) for facts in self.others))
 
 
 def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFacts:
@@ -58,7 +68,7 @@ def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFact
     if not facts:
         file, reason = captures.skipped[0]
         raise InputError(f"{folder}: none of its {len(files)} raw files can be read; the first: {file}: {reason}")
-    mine, others = _one_camera(facts)
+    mine, resampled, others = _one_camera(facts)
     read = {folder / file for file in files}
     rest = [path for path in folder.rglob("*") if path.is_file() and path.suffix.lower() in PICTURES and path not in read]
     notes = (
@@ -66,7 +76,7 @@ def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFact
         if rest
         else []
     )
-    return FolderFacts(folder, tuple(mine), captures, (*captures.skipped, *others), tuple(notes))
+    return FolderFacts(folder, tuple(mine), captures, (*captures.skipped, *others), tuple(notes), resampled)
 
 
 def _turned(path: Path) -> float:
@@ -81,13 +91,17 @@ def _turned(path: Path) -> float:
         return 0.0
 
 
-def _one_camera(facts: Sequence[FileFacts]) -> tuple[list[FileFacts], list[tuple[str, str]]]:
-    """The files of the camera that took most, and a sentence for each of the others."""
+def _one_camera(
+    facts: Sequence[FileFacts],
+) -> tuple[list[FileFacts], tuple[tuple[FileFacts, ...], ...], list[tuple[str, str]]]:
+    """The files of the camera that took most, those of the same camera in other pixels, and a sentence for each of the rest."""
 
     def camera(fact: FileFacts) -> tuple[object, ...]:
         return (fact.camera, fact.sensor.white_dn, fact.sensor.bits, fact.sensor.pixel_um, fact.sensor.cfa == "MONO")
 
     most = Counter(camera(fact) for fact in facts).most_common(1)[0][0]
+    twins = [key for key in dict.fromkeys(map(camera, facts)) if key != most and (*key[:3], key[4]) == (*most[:3], most[4])]
+    resampled = tuple(tuple(fact for fact in facts if camera(fact) == key) for key in twins)
 
     def words(key: tuple[object, ...]) -> str:
         return f"{key[0] or 'an unnamed camera'} with {key[2]} bits, white at {key[1]:g} DN and pixels of {key[3]:g} um"
@@ -98,6 +112,6 @@ def _one_camera(facts: Sequence[FileFacts]) -> tuple[list[FileFacts], list[tuple
             f"was taken by {words(camera(fact))}, most files by {words(most)}; make a campaign of its own for it",
         )
         for fact in facts
-        if camera(fact) != most
+        if camera(fact) != most and camera(fact) not in twins
     ]
-    return [fact for fact in facts if camera(fact) == most], others
+    return [fact for fact in facts if camera(fact) == most], resampled, others

@@ -95,8 +95,10 @@ def _bracket_rate(groups: Sequence[ShotGroup], dark_dn: Mapping[float | None, fl
     return float(np.sum(weights) / np.sum(weights / rates))
 
 
-def scale_for(model: CameraModel, group: ShotGroup, window: Window, spectrum: Spectrum, wanted_dn: float) -> float | None:
-    """Factor of a light's table at which the model's green signal of a perfect white is ``wanted_dn`` at the group's exposure.
+def scale_for(
+    model: CameraModel, group: ShotGroup, window: Window, spectrum: Spectrum, wanted_dn: float, channel: str = "G"
+) -> float | None:
+    """Factor of a light's table at which the model's signal of a perfect white is ``wanted_dn`` at the group's exposure.
 
     None for a model without a conversion gain, or one that cannot shoot a flat.
     """
@@ -111,11 +113,11 @@ def scale_for(model: CameraModel, group: ShotGroup, window: Window, spectrum: Sp
         return None
     cfa = model.sensor.cfa
     if cfa == "MONO":
-        green = float(electrons.mean())
+        level = float(electrons.mean())
     else:
-        at = [(r, c) for r in (0, 1) for c in (0, 1) if cfa[((middle.row0 + r) % 2) * 2 + (middle.col0 + c) % 2] == "G"]
-        green = float(np.mean([electrons[r::2, c::2].mean() for r, c in at]))
-    return wanted_dn / (green * gain) if green > 0 else None
+        at = [(r, c) for r in (0, 1) for c in (0, 1) if cfa[((middle.row0 + r) % 2) * 2 + (middle.col0 + c) % 2] == channel]
+        level = float(np.mean([electrons[r::2, c::2].mean() for r, c in at]))
+    return wanted_dn / (level * gain) if level > 0 else None
 
 
 def known_exposure(group: ShotGroup) -> ShotGroup:

@@ -117,7 +117,7 @@ def measure_files(
         Path -> Capture.
     role : str, optional
         ``dark`` and ``flat``: files of one folder, sensor and ISO are a series, those of one exposure and level one
-        shot; ``edge``, ``chart``, ``scene``: each file is a shot, its target is searched in it.  Without a role each
+        shot; ``edge``, ``chart``, ``disk``, ``scene``: each file is a shot, its target is searched in it.  Without a role each
         file is searched for a chart, then for edges.
     asked : Asked, optional
         Role and options of the estimators.
@@ -150,7 +150,7 @@ def try_files(paths: Sequence[Path], *, read: Reader, asked: Asked, progress: Pr
 
 def _cropped(capture: Capture, asked: Asked) -> Capture:
     """The region asked for as a capture of its own, at its place on the sensor; an edge keeps its surroundings."""
-    if asked.roi is None or asked.role == "edge":
+    if asked.roi is None or asked.role in ("edge", "disk"):
         return capture
     row0, row1, col0, col1 = check_roi(capture, asked.roi)
     corner = (capture.window[0] + row0, capture.window[1] + col0)
@@ -201,7 +201,7 @@ def measure_one(capture: Capture, name: str, asked: Asked | None = None) -> tupl
     rows = [replace(m, role=asked.role or "") for m in plane_levels(whole, [capture]).metrics]
     shots = []
     for target in found.targets:
-        role = "edge" if target.name.startswith("edge") else (asked.role or "chart")
+        role = "edge" if target.name.startswith("edge") else (asked.role or "chart").replace("disk", "chart")
         label = name if len(found.targets) == 1 else f"{name} {target.name}"
         shots.append(replace(whole, name=label, setup=label, role=role, target=target, **_options(asked)))
     if shots:

@@ -18,7 +18,7 @@ from isetval.core.errors import InputError
 from isetval.files.draft_types import Content, Seen
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_reading import FolderFacts
-from isetval.files.registration import patch_levels, register_chart, register_edges
+from isetval.files.registration import ChartPose, patch_levels, register_chart, register_disks, register_edges
 from isetval.files.shot_grouping import ShotGroup, shot_groups
 
 TOLD = "as told"
@@ -55,7 +55,38 @@ def recognize_all(found: FolderFacts, *, role: str | None = None, progress: Prog
         seen[i] = replace(seen[i], content=content)
         if progress is not None:
             progress(f"searching edges in {seen[i].group.first.file}", done, len(left))
+    sheets = {key: max(same, key=lambda one: _disk_count(one.content)) for key, same in _brackets(seen).items()}
+    for i in left:  # the exposures of a sheet of disks share its best pose
+        best = sheets[_bracket(seen[i])]
+        capture = found.captures.take("", seen[i].group.first.file) if _disk_count(best.content) else None
+        if best is not seen[i] and capture is not None:
+            seen[i] = replace(seen[i], content=_of_sheet(best, capture))
     return seen
+
+
+def _bracket(one: Seen) -> tuple[object, ...]:
+    """What the exposures of one picture share."""
+    fact = one.group.first
+    return (fact.place, fact.window, fact.rotation_deg, fact.wavelength_nm, one.group.words.light, one.group.session)
+
+
+def _brackets(seen: Sequence[Seen]) -> dict[tuple[object, ...], list[Seen]]:
+    out: dict[tuple[object, ...], list[Seen]] = {}
+    for one in seen:
+        out.setdefault(_bracket(one), []).append(one)
+    return out
+
+
+def _disk_count(content: Content) -> int:
+    return len(content.chart.disks) if content.chart is not None else 0
+
+
+def _of_sheet(best: Seen, capture: Capture) -> Content:
+    """The pose of a sheet of disks as another exposure shows it best."""
+    pose = best.content.chart
+    assert pose is not None
+    why = f"the sheet of {len(pose.disks)} disks of {best.group.first.file}, best seen there"
+    return Content("chart", why, chart=replace(pose, levels_dn=patch_levels(capture, pose.boxes)))
 
 
 def _tried(look: Callable[[Capture], Content], capture: Capture | None) -> Content:
@@ -94,6 +125,8 @@ def second_look(one: Seen, seen: Sequence[Seen], capture: Capture, *, role: str 
     edges, refused = register_edges(capture)
     if edges:
         return Content("edge", f"slanted edges: {len(edges)}", edges=edges, refused=refused)
+    if (sheet := _disks(capture)) is not None:
+        return Content("chart", f"a sheet of {len(sheet.disks)} printed disks", chart=sheet, refused=refused)
     content = _chart(capture) if one.group.words.role == "edge" and role is None else one.content
     why = f"{content.why}; no slanted edge ({len(refused)} candidates refused)"
     return content if content.chart is not None else Content("scene", why, refused=refused)
@@ -104,6 +137,13 @@ def _chart(capture: Capture) -> Content:
         return Content("chart", "a chart of 24 patches was found", chart=register_chart(capture))
     except InputError as error:
         return Content("scene", str(error))
+
+
+def _disks(capture: Capture) -> ChartPose | None:
+    try:
+        return register_disks(capture)
+    except InputError:
+        return None
 
 
 def unevenness(fact: FileFacts) -> float:
@@ -159,7 +199,11 @@ def borrowed_pose(one: Seen, seen: Sequence[Seen], capture: Capture) -> Content 
     for other in seen:
         theirs = other.group.first
         same = (theirs.place, theirs.window, theirs.rotation_deg, other.group.session)
-        if other.content.chart is None or same != (fact.place, fact.window, fact.rotation_deg, one.group.session):
+        if (
+            other.content.chart is None
+            or other.content.chart.disks
+            or same != (fact.place, fact.window, fact.rotation_deg, one.group.session)
+        ):
             continue
         alike = _likeness(_borders(fact), _borders(theirs))
         bracket = fact.wavelength_nm == theirs.wavelength_nm and fact.exposure.time_s != theirs.exposure.time_s

@@ -20,16 +20,21 @@ SIDE_STEPS = np.arange(0.0, 0.5001, 0.005)
 LEAST_CONTRAST = 0.08  # of the brightest patch: fainter borders do not tell where a patch ends
 MARGIN_SHARE = 0.1
 LEAST_MARGIN_PX = 4  # the blur of a lens in focus
+LEAST_DISKS = 4  # ours: three round things may be anybody's
+LEAST_HALF_PX = 2
+MOST_PLACES = 9  # patches in disks, and as many between them: a field's unevenness has fewer numbers
+SHEET_REFLECTANCE = 0.8  # of the sheet where nobody states one: printer's paper is .75 to .9
 MOST_EDGES = 12  # of one picture: the sharpest and longest tell as much as hundreds
 
 
 @dataclass(frozen=True, eq=False)
 class ChartPose:
-    """A registered chart in pixels of its capture: upright boxes of all patches, and how it stands.
+    """A registered chart (or sheet of disks) in pixels of its capture: upright boxes of all patches, and how it stands.
 
     ``matrix`` projects (column, row) in patch pitches to (column, row) in pixels; ``side`` is that of a patch in
     pitches; ``outliers`` counts patches whose centre the projection does not explain; ``error_px`` is the rms distance
-    of the others.
+    of the others.  ``white`` is the number of its brightest patch.  A sheet of disks has ``disks``, a box around each, patches
+    in and between them, and ``reflectances`` that were read off the picture.
     """
 
     names: tuple[str, ...]
@@ -42,6 +47,9 @@ class ChartPose:
     outliers: int
     error_px: float
     margin_px: int
+    white: int = 18
+    disks: tuple[RoiLike, ...] = ()
+    reflectances: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,77 @@ def register_chart(capture: Capture) -> ChartPose:
         float(np.sqrt(np.mean(distance**2))),
         margin,
     )
+
+
+def register_disks(capture: Capture) -> ChartPose:
+    """Find a sheet of printed disks, and even patches in the disks and between them.
+
+    Raises
+    ------
+    MeasurementError
+        For fewer than four disks that fit, or disks too small to hold a patch.
+    """
+    from isetval.measure.edge.disk_edges import disks, find_disks
+
+    boxes = find_disks(capture)
+    channels = ("G",) if capture.sensor.cfa == "MONO" else ("R", "G", "B")
+    fitted = [disks(capture, boxes, channel) for channel in channels] if boxes else []
+    good = [disk for disk in max(fitted, key=lambda own: sum(d.accepted for d in own), default=[]) if disk.accepted]
+    if len(good) < LEAST_DISKS:
+        raise MeasurementError(
+            f"{len(boxes)} round blobs, {len(good)} of them disks that fit; a sheet of disks has {LEAST_DISKS}"
+        )
+    centers = np.array([disk.center_px for disk in good])
+    radius = float(np.median([disk.radius_px for disk in good]))
+    half = int((radius - LEAST_MARGIN_PX) / math.sqrt(2)) // 2 * 2
+    between = _between(centers, radius, half)
+    if half < LEAST_HALF_PX or not len(between):
+        raise MeasurementError(f"disks of {radius:.1f} pixels radius leave no even patch in and between them")
+    places = {"disk": _spread_out(centers), "paper": _spread_out(between)}
+    named = [(f"{what} {i}", point) for what, points in places.items() for i, point in enumerate(points, 1)]
+    patches = tuple(_around(point, half) for _, point in named)
+    levels = patch_levels(capture, patches)
+    dark = float(np.median([d.inside_dn for d in good]) / np.median([d.outside_dn for d in good]))
+    bright = SHEET_REFLECTANCE if dark < 1 else SHEET_REFLECTANCE / dark
+    number = len(places["disk"])
+    return ChartPose(
+        tuple(name for name, _ in named),
+        patches,
+        levels,
+        np.eye(3),
+        1.0,
+        0.0,
+        (0.0, 0.0),
+        0,
+        0.0,
+        0,
+        white=number + int(np.argmax(levels[number:].sum(axis=1))),
+        disks=tuple(disk.roi for disk in good),
+        reflectances=tuple(round(max(bright * (dark if name.startswith("disk") else 1.0), 0.0), 4) for name, _ in named),
+    )
+
+
+def _between(centers: Float, radius: float, half: int) -> Float:
+    """Places (n, 2) midway between neighbouring disks where a patch is clear of both."""
+    apart = np.hypot(*(centers[:, None] - centers[None]).transpose(2, 0, 1))
+    pitch = float(np.median(np.sort(apart, axis=1)[:, 1]))
+    pairs = [(i, j) for i in range(len(centers)) for j in range(i) if apart[i, j] < 1.2 * pitch]
+    middles = np.array([(centers[i] + centers[j]) / 2 for i, j in pairs]).reshape(-1, 2)
+    return middles if pitch / 2 - radius - LEAST_MARGIN_PX >= half else middles[:0]
+
+
+def _spread_out(points: Float) -> Float:
+    """At most nine of the places, far from one another: the first, then always the one farthest from those taken."""
+    taken = [int(np.argmin(points.sum(axis=1)))]
+    while len(taken) < min(MOST_PLACES, len(points)):
+        distance = np.min([np.hypot(*(points - points[k]).T) for k in taken], axis=0)
+        taken.append(int(np.argmax(distance)))
+    return points[sorted(taken)]
+
+
+def _around(point: Float, half: int) -> RoiLike:
+    row, col = (round(float(v) / 2) * 2 for v in point)
+    return (row - half, row + half, col - half, col + half)
 
 
 def patch_levels(capture: Capture, boxes: Sequence[RoiLike]) -> Float:

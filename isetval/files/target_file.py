@@ -11,11 +11,14 @@ from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, S
 from isetval.core.sensor import RoiLike
 from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, text
 
+SEEN_NM = (380.0, 780.0)
+"""Bands of a camera model: measured tables go on into the ultraviolet and infrared, where their noise passes 1."""
+MOST_FACTOR = 1.1  # of a measured table: a chart's white against a standard that is not quite white itself
 _EDGE_KEYS = (
     "kind", "angle_deg", "orientation", "offset_px", "dark_side", "dark_reflectance", "bright_reflectance",
     "surround", "roi", "notes",
 )  # fmt: skip
-_CHART_KEYS = ("kind", "patch", "surround", "reflectance", "margin_px", "background", "outline", "notes")
+_CHART_KEYS = ("kind", "patch", "surround", "reflectance", "margin_px", "background", "outline", "disks", "notes")
 _SCENE_KEYS = ("kind", "file", "patch", "line", "notes")
 
 
@@ -64,7 +67,16 @@ def _chart(name: str, entry: Mapping[str, Any], where: str, path: Path) -> Chart
         margin_px=int(number(entry, "margin_px", where, 4)),
         background=_reflectance(entry["background"], where, path) if "background" in entry else None,
         outline=_box(entry, "outline", where) if "outline" in entry else None,
+        disks=_disks(entry, where),
     )
+
+
+def _disks(entry: Mapping[str, Any], where: str) -> tuple[RoiLike, ...]:
+    """Boxes around disks, ``disks = [[row0, row1, col0, col1], ...]``."""
+    boxes = entry.get("disks", [])
+    if not isinstance(boxes, list):
+        raise InputError(f"{where}: disks is {boxes!r}; it needs a list of boxes [row0, row1, col0, col1]")
+    return tuple(_box({"box": box}, "box", f"{where} disk {i}") for i, box in enumerate(boxes, 1))
 
 
 def _scene(name: str, entry: Mapping[str, Any], where: str, path: Path) -> RenderedTarget:
@@ -113,7 +125,9 @@ def _reflectance(value: Any, where: str, path: Path) -> Spectrum:
         spectrum = spectra[column or next(iter(spectra))]
     else:
         raise InputError(f"{where}: a reflectance is {value!r}; it needs a number or 'file.csv:column'")
-    if spectrum.values.min() < 0 or spectrum.values.max() > 1:
-        low, high = spectrum.values.min(), spectrum.values.max()
+    seen = (spectrum.wavelength_nm >= SEEN_NM[0]) & (spectrum.wavelength_nm <= SEEN_NM[1])
+    used = spectrum.values[seen] if seen.any() else spectrum.values
+    if used.min() < 0 or used.max() > (1 if isinstance(value, int | float) else MOST_FACTOR):
+        low, high = used.min(), used.max()
         raise InputError(f"{where}: a reflectance spans {low:.3g} to {high:.3g}; it needs 0 to 1")
     return spectrum

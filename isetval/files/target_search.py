@@ -35,13 +35,21 @@ def find_targets(capture: Capture, role: str | None, *, roi: RoiLike | None = No
     Parameters
     ----------
     capture : Capture
-    role : {"edge", "chart", "scene"} or None
+    role : {"edge", "chart", "disk", "scene"} or None
     roi : (row0, row1, col0, col1), optional
-        Where the edge is: nothing is searched then.
+        Where the edge or disk is: nothing is searched then.
     channel : str
         Channel that edges are tried in; default green.
     """
-    looks = {"edge": (edges_in,), "chart": (chart_in,), "scene": (even_parts_in,), None: (chart_in, edges_in)}[role]
+    looks = {
+        "edge": (edges_in,),
+        "chart": (chart_in,),
+        "disk": (disks_in,),
+        "scene": (even_parts_in,),
+        None: (chart_in, edges_in),
+    }[role]
+    if role == "disk" and roi is not None:
+        return Found((ChartTarget("disks", disks=(roi,)),), ())
     if role == "edge" and roi is not None:
         return Found((EdgeTarget("edge", roi=roi),), ())
     notes: list[str] = []
@@ -113,6 +121,15 @@ def edges_in(capture: Capture, channel: str = "") -> Found:
     notes = [f"{len(found)} edges accepted, {len(found.rejected)} rejected"]
     notes += [f"edge rejected at {','.join(map(str, r.roi))}: {r.reason}" for r in found.rejected[:MOST_REASONS]]
     return Found(tuple(targets), tuple(notes))
+
+
+def disks_in(capture: Capture, channel: str = "") -> Found:
+    """Printed disks, each with a box around it."""
+    from isetval.measure.edge.disk_edges import find_disks
+
+    boxes = tuple(find_disks(capture))
+    targets = (ChartTarget("disks", disks=boxes),) if boxes else ()
+    return Found(targets, (f"{len(boxes)} round blobs that lie wholly in the picture",))
 
 
 def _towards_higher(normal_deg: float) -> bool:

@@ -81,6 +81,7 @@ def diagnose(
     say = Teller.of(say, progress)
     ready = holdout if isinstance(holdout, Prepared) else None
     used, other = (campaign, None) if isinstance(holdout, Prepared) else split_sessions(campaign, holdout)
+    model = model.sampled_as(used.sensor)
     prepared = prepare(model, used, jobs=jobs, say=say)
     try:
         gate = repeat_gate(prepared)

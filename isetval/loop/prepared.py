@@ -46,6 +46,7 @@ class Prepared:
         ``seeds`` of its differences hold when the problem is made here for the first time; ``values``
         are focus errors so far from zero that predictions must be made there.
         """
+        model = model.sampled_as(self.campaign.sensor)
         key = model.digest() + (repr(sorted(values.items())) if values else "")
         if key == self.model.digest():
             return self.problem
@@ -59,6 +60,7 @@ class Prepared:
         Noise and bias of an edge depend on focus: weights made at another focus judge wrongly, and may have
         driven the other nuisances away, which start at zero again.
         """
+        model = model.sampled_as(self.campaign.sensor)
         problem, fitted = self.problem_for(model), self.fit_nuisances(model)
         if values := far_values(fitted):
             problem = self.problem_for(model, values=values)
@@ -67,6 +69,7 @@ class Prepared:
 
     def fit_nuisances(self, model: CameraModel) -> Fit:
         """The fit in which only the campaign's nuisances are free."""
+        model = model.sampled_as(self.campaign.sensor)
         key = model.digest()
         if key not in self.fits:
             problem = self.problem_for(model)
@@ -78,6 +81,7 @@ class Prepared:
 
         Two models are compared with the same weights: their difference is then free of Monte-Carlo noise.
         """
+        model = model.sampled_as(self.campaign.sensor)
         problem, _ = self.settled(weights)
         return fit(problem, Point(model), nuisance_parameters(problem.plan, model)).chi2
 
@@ -105,6 +109,7 @@ def prepare(
     say = Teller.of(say)
     if campaign.is_plan:
         raise InputError(f"campaign {campaign.name} has no captures; simulate it, or put the files of its shots beside it")
+    model = model.sampled_as(campaign.sensor)
     check_sensor(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
     table = table or measure_campaign(campaign, summaries=False, progress=lambda _, done, total: say.counted(done, total))

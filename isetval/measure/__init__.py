@@ -5,8 +5,12 @@ from isetval.core.lazy import lazy_names
 _NAMES = {
     "chart": "isetval.measure.color",
     "dark": "isetval.measure.noise",
+    "disk_sfr": "isetval.measure.edge.disk_edges",
+    "disks": "isetval.measure.edge.disk_edges",
     "emva1288": "isetval.measure.noise",
+    "find_disks": "isetval.measure.edge.disk_edges",
     "find_edges": "isetval.measure.edge",
+    "lateral_color": "isetval.measure.edge.disk_edges",
     "lens_profile": "isetval.measure.edge",
     "line_profile": "isetval.measure.color",
     "measure_campaign": "isetval.measure.campaign",

@@ -19,6 +19,8 @@ from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
 
 Progress = Callable[[str, int, int], None]
+LEVELS = ("mean", "patch_mean", "line_profile", "patch_ratio", "relative_illumination")
+"""Rows that resampling leaves as they are: means, not noise."""
 HELD_PIXELS = 400_000_000  # 800 MB of frames kept for the summaries of a session; what is beyond is decoded again
 
 
@@ -30,6 +32,21 @@ def analyses(role: str) -> tuple[ModuleType, ...]:
     names = sorted(info.name for info in pkgutil.iter_modules(folder.__path__))
     modules = [importlib.import_module(f"{folder.__name__}.{name}") for name in names]
     return tuple(module for module in modules if role in module.ROLES)
+
+
+def _modules(shot: Shot) -> tuple[ModuleType, ...]:
+    """The analyses of a shot; of resampled pictures those alone that give levels."""
+    found = analyses(shot.role)
+    return tuple(m for m in found if set(getattr(m, "GIVES", ())) & set(LEVELS)) if shot.levels_only else found
+
+
+def _kept(shot: Shot, block: Block) -> Block:
+    """The rows of a shot; of resampled pictures the levels."""
+    if not shot.levels_only or all(m.name in LEVELS for m in block.metrics):
+        return block
+    table = MetricTable((block,))
+    parts = table.select(i for i, m in enumerate(table.metrics) if m.name in LEVELS).blocks
+    return parts[0] if parts else Block(())
 
 
 def measure_campaign(
@@ -93,7 +110,7 @@ def measure_campaign(
                 made.pop(f"{shot.name}/given")
             if summaries:
                 about += shot_summaries(shot, captures, notes, patches=patches)
-            if summaries and wanted(shot):
+            if summaries and wanted(shot) and not shot.levels_only:
                 held += sum(capture.mosaic.size for capture in captures) if held < HELD_PIXELS else 0
                 frames[shot.name] = captures if held <= HELD_PIXELS else campaign.captures.later(shot.name)
         elif not given.metrics:
@@ -157,10 +174,10 @@ def _analyzed(
     shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any], notes: list[str]
 ) -> Iterator[tuple[str, Block]]:
     """Blocks of all analyses of a shot; one that refuses or breaks leaves a note and does not lose the others."""
-    for module in analyses(shot.role):
+    for module in _modules(shot):
         name = module.__name__.rsplit(".", 1)[-1]
         try:
-            block: Block = module.analyze(shot, captures, choices.get(f"{shot.name}/{name}", {}))
+            block = _kept(shot, module.analyze(shot, captures, choices.get(f"{shot.name}/{name}", {})))
         except InputError as error:
             notes.append(f"shot {shot.name}: no {name.replace('_', ' ')}: {error}")
         except Exception as error:  # an analysis of somebody's own must not lose the others' numbers
@@ -222,9 +239,9 @@ def measure_shot(shot: Shot, captures: Sequence[Capture], *, choices: Mapping[st
         out.append(("given", same_rows(shot, captures, given, analyses(shot.role))))
         if given["alone"]:
             return out
-    for module in analyses(shot.role):
+    for module in _modules(shot):
         name = module.__name__.rsplit(".", 1)[-1]
-        block: Block = module.analyze(shot, captures, (choices or {}).get(f"{shot.name}/{name}", {}))
+        block = _kept(shot, module.analyze(shot, captures, (choices or {}).get(f"{shot.name}/{name}", {})))
         if block.metrics:
             out.append((name, block))
     return out

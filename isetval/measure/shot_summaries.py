@@ -17,6 +17,7 @@ from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric
 from isetval.measure.color import chart
 from isetval.measure.conditions import metric, shot_conditions
+from isetval.measure.disk_summary import disk_summary
 from isetval.measure.patchsummary import patch_summary
 
 LEAST_SIGMA_DN = 1e-6  # of fields without noise: a sigma is positive
@@ -40,11 +41,12 @@ def shot_summaries(
     part_only = getattr(shot.target, "roi", None) is not None  # one edge of many: the whole frame is not its affair
     parts: tuple[tuple[str, Callable[[], Block]], ...] = (
         ("plane levels", lambda: Block(()) if part_only else plane_levels(shot, captures)),
+        ("disks", lambda: disk_summary(shot, captures)),
         ("mean-variance line", lambda: patch_noise(shot, captures)),
         ("uniform patches", lambda: patch_summary(shot, captures, _options(shot, patches))),
     )
     blocks = []
-    for name, make in parts:
+    for name, make in parts[:1] if shot.levels_only else parts:
         try:
             block = make()
         except InputError as error:

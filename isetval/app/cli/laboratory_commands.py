@@ -129,7 +129,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     """Group and register the raw files of a folder into a campaign.toml that runs at once; campaign.html shows what was found."""
     from isetval.app.report.campaign_page import write_campaign_page
     from isetval.core.cache import file_hash
-    from isetval.files.draft import draft_campaign, write_draft
+    from isetval.files.draft import draft_campaigns, write_draft
     from isetval.files.draft_text import sentences
     from isetval.files.emva_descriptor import find_emva_descriptor
 
@@ -137,12 +137,18 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     if descriptor is not None:
         return _init_from_descriptor(descriptor, args.camera, console)
     console.say(f"reading the files of {args.folder}")
-    draft = draft_campaign(args.folder, role=args.role, camera=args.camera, progress=console.progress)
-    path = write_draft(draft, args.folder)
-    page = write_campaign_page(draft, args.folder)
+    draft, *others = draft_campaigns(args.folder, role=args.role, camera=args.camera, progress=console.progress)
     roles = [shot.role for shot in draft.shots]
-    counts = ", ".join(f"{roles.count(role)} {role}" for role in dict.fromkeys(roles))
-    lines = [f"{path}: {len(roles)} shots ({counts}); pictures of what was found: {page}"]
+    lines, made = [], []
+    for one in (draft, *others):
+        path, page = write_draft(one, args.folder), write_campaign_page(one, args.folder)
+        made.append((str(path), str(page)))
+        own = [shot.role for shot in one.shots]
+        counts = ", ".join(f"{own.count(role)} {role}" for role in dict.fromkeys(own))
+        lines.append(f"{path}: {len(own)} shots ({counts}); pictures of what was found: {page}")
+    for one in others:
+        pitch = f"{one.seen[0].group.first.sensor.pixel_um:g} um"
+        lines.append(f"note: {one.file} holds the files with pixels of {pitch}; give it as --holdout")
     lines += [f"not known: {words}" for words in sentences(draft.unknown)]
     lines += [f"not used: {one.group.first.folder or '.'}: {one.content.why}" for one in draft.seen if not one.shots]
     lines += left_out_lines(draft.skipped)
@@ -150,15 +156,16 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     lines.append(f"next: isetval measure {args.folder}")
     result = {
         "kind": "campaign init",
-        "file": str(path),
-        "page": str(page),
+        "file": made[0][0],
+        "page": made[0][1],
+        "further": [{"file": file, "page": page} for file, page in made[1:]],
         "shots": len(roles),
         "roles": {role: roles.count(role) for role in dict.fromkeys(roles)},
         "unknown": [list(row) for row in draft.unknown],
         "skipped": [list(s) for s in draft.skipped],
         "notes": list(draft.notes),
     }
-    return Outcome(result, lines, FINE, {str(path): file_hash(path)})
+    return Outcome(result, lines, FINE, {file: file_hash(Path(file)) for file, _ in made})
 
 
 def _init_from_descriptor(descriptor: Path, camera: str, console: Console) -> Outcome:

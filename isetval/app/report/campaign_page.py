@@ -30,14 +30,14 @@ def campaign_html(draft: Draft) -> str:
 
 
 def write_campaign_page(draft: Draft, folder: Path | str) -> Path:
-    """Write ``campaign.html`` beside the campaign.
+    """Write ``campaign.html`` (or that of a folder's second campaign) beside the campaign.
 
     Raises
     ------
     InputError
         If it cannot be written.
     """
-    path = Path(folder) / "campaign.html"
+    path = (Path(folder) / draft.file).with_suffix(".html")
     write_whole(path, campaign_html(draft))
     return path
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Float = NDArray[np.float64]
+MOST_AT_ZERO = 0.9  # of the pixels: with fewer above code 0 than a tenth, hot pixels decide what a fit of noise finds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,6 +144,12 @@ def dark(captures: Sequence[Capture], roi: RoiLike | None = None) -> Dark:
         raise MeasurementError(
             f"all {len(captures)} dark frames hold one value each (the first {int(captures[0].mosaic.flat[0])} DN); dark "
             "analysis needs noise around a black pedestal: the frames are clipped, empty or not raw"
+        )
+    at_zero = min(look.at_zero for look in looks)
+    if at_zero > MOST_AT_ZERO:
+        raise MeasurementError(
+            f"at least {100 * at_zero:.1f} % of the pixels of all {len(captures)} dark frames stand at code 0; dark analysis "
+            "needs noise around a black pedestal, and what is left above 0 are hot pixels: record with an offset"
         )
     levels: dict[str, list[tuple[float | None, DarkLevel]]] = {}
     means: dict[str, Float] = {}

@@ -32,7 +32,10 @@ CHECKED_ROWS = 16  # rows whose checksum tells two frames apart: their noise nev
 
 @dataclass(frozen=True)
 class FrameLook:
-    """What sorting needs of a frame: ``mean_dn`` over the planes and ``plane_mean_dn`` of each, above the black tag."""
+    """What sorting needs of a frame: ``mean_dn`` over the planes and ``plane_mean_dn`` of each, above the black tag.
+
+    ``at_zero`` is the share of the pixels (of a sample of rows) at code 0.
+    """
 
     mean_dn: float
     plane_mean_dn: Mapping[str, float]
@@ -42,6 +45,7 @@ class FrameLook:
     pixels: int
     one_value: bool
     checksum: int
+    at_zero: float = 0.0
 
     @property
     def known_time_s(self) -> float:
@@ -110,6 +114,7 @@ def _look(capture: Capture, roi: RoiLike | None) -> FrameLook:
         pixels=mosaic.size if roi is None else (roi[1] - roi[0]) * (roi[3] - roi[2]),
         one_value=bool((mosaic[0] == first).all() and (mosaic == first).all()),
         checksum=zlib.crc32(rows.tobytes()),
+        at_zero=float(np.mean(rows == 0)),
     )
 
 
