@@ -23,6 +23,10 @@ def verdict_words(diagnosis: Mapping[str, Any]) -> str:
     verdict, named = diagnosis["verdict"], len(diagnosis["effects"])
     if verdict == "attributed" and named > 1:
         return f"the captures ask for {named} effects"
+    if verdict == "attributed" and diagnosis["effects"][0].get("curve"):
+        return (
+            f"the captures ask for one effect, in another form than the catalogue's (form of {diagnosis['effects'][0]['name']})"
+        )
     return VERDICT_WORDS[verdict]
 
 
@@ -42,12 +46,16 @@ def with_sigma(value: float | None, sigma: float | None, unit: str = "", *, sign
 def effect_words(effect: Mapping[str, Any], *, sign: str = "+-") -> str:
     """A named effect with its parameters."""
     parts = []
+    curve = effect.get("curve")
     for name, p in effect["parameters"].items():
+        if curve and name.startswith("free_"):
+            continue  # the curve says it
         words = f"{name} {with_sigma(p['value'], p['sigma'], p['unit'], sign=sign)}"
         if effect.get("present_in_model"):
             words += f" (the model has {p['nominal']:g})"
         parts.append(words)
-    return f"{effect['name']}: {', '.join(parts)}" if parts else str(effect["name"])
+    named = f"form of {effect['name']} (free along the {curve['axis']})" if curve else str(effect["name"])
+    return f"{named}: {', '.join(parts)}" if parts else named
 
 
 def shortfall_words(effect: Mapping[str, Any]) -> str:
@@ -56,6 +64,8 @@ def shortfall_words(effect: Mapping[str, Any]) -> str:
 
     name = str(effect["name"])
     words = name.replace("_", " ")
+    if effect.get("curve"):
+        return f"has the wrong form of {words}" if effect.get("present_in_model") else f"lacks a form of {words}"
     known = catalogue().get(name)
     nulls = {p.name: p.null for p in known.parameters()} if known else {}
     moves = [
