@@ -26,7 +26,7 @@ from isetval.core.toml import (
 )
 
 _SENSOR_KEYS = ("rows", "cols", "pixel_um", "cfa", "black_dn", "white_dn", "bits")
-_STEP_KEYS = ("sigma", "provenance")
+_STEP_KEYS = ("sigma", "sigma_of", "provenance")  # tables that `isetval add` writes; a number called sigma is a parameter
 
 
 def load_model(path: Path | str) -> CameraModel:
@@ -145,6 +145,7 @@ def _effect(entry: Any, path: Path, place: int) -> Effect:
     where = f"{path}: [[effect]] number {place}"
     if not isinstance(entry, dict) or "name" not in entry:
         raise InputError(f"{where}: name is missing; see 'isetval effects' for the catalogue")
-    values = {key: value for key, value in entry.items() if key != "name" and key not in _STEP_KEYS}
+    told = {key for key in _STEP_KEYS if isinstance(entry.get(key), Mapping)}
+    values = {key: value for key, value in entry.items() if key != "name" and key not in told}
     texts(values, "fitted_to", where)
     return make_effect(entry["name"], values, where, path.parent)

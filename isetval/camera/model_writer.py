@@ -87,7 +87,8 @@ def _fill(table: Any, effect: Effect, folder: Path, step: Mapping[str, Any]) -> 
         wanted["source"] = effect.source
     if effect.fitted_to:
         wanted["fitted_to"] = list(effect.fitted_to)
-    for key, value in (wanted | dict(step)).items():
+    told = {"sigma_of" if key == "sigma" and key in effect.values() else key: value for key, value in step.items()}
+    for key, value in (wanted | told).items():
         if table.get(key) != value:
             table[key] = value
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from isetval.camera.model import CameraModel
-from isetval.camera.model_file import load_model, read_sensor
+from isetval.camera.model_file import load_model, model_path, read_sensor
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
 from isetval.core.scene import Spectrum, Target, narrow_band, read_spectra
 from isetval.core.sensor import Exposure, Sensor, Window
-from isetval.core.toml import check_keys, inside, named_file, number, numbers, read_toml, text, texts
+from isetval.core.toml import PACKAGE_PREFIX, check_keys, inside, named_file, number, numbers, read_toml, text, texts
 from isetval.files.captures import FileCaptures
 from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
 from isetval.files.metric_file import Reading, read_metrics
@@ -146,11 +146,18 @@ def _check_exposure(found: Exposure, shot: Shot, path: Path) -> None:
             )
 
 
+def _camera_file(camera: str, folder: Path) -> Path | None:
+    """The model file that a campaign names; ``isetval:NAME`` is an embedded camera."""
+    if not camera:
+        return None
+    return model_path(camera) if camera.startswith(PACKAGE_PREFIX) else named_file(camera, folder)
+
+
 def _sensor(table: Mapping[str, Any], path: Path, given: CameraModel | None) -> tuple[Sensor | None, str]:
     """The sensor, and the camera model as the file names it (empty where another stands in for it)."""
     camera = text(table, "camera", str(path))
     try:
-        file = named_file(camera, path.parent) if camera else None
+        file = _camera_file(camera, path.parent)
     except InputError as error:
         if given is None and "sensor" not in table:
             raise InputError(f"{path}: camera: {error}; or state its [sensor] here") from None

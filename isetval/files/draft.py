@@ -137,7 +137,7 @@ def _camera(camera: str, folder: Path) -> tuple[CameraModel | None, str]:
     if not camera:
         return None, ""
     if camera.startswith(PACKAGE_PREFIX):
-        return load_model(data_folder() / camera.removeprefix(PACKAGE_PREFIX)), camera
+        return load_model(camera), camera
     path = folder / camera if (folder / camera).exists() else Path(camera)
     inside = path.resolve().is_relative_to(folder.resolve())
     return load_model(path), path.resolve().relative_to(folder.resolve()).as_posix() if inside else ""

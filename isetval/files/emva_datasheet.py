@@ -42,7 +42,7 @@ def read(text: str, where: str) -> GivenTable:
     InputError
         If the XML is broken or none of the quantities is in it.
     """
-    found = dict(_of_xml(text, where) if text.lstrip().startswith("<") else _of_csv(text, where))
+    found = quantities(text, where)
     rows, left = [], []
     for symbol, value in found.items():
         if symbol.lower() in QUANTITIES:
@@ -53,6 +53,11 @@ def read(text: str, where: str) -> GivenTable:
     if not rows:
         raise InputError(f"{where}: holds {', '.join(left) or 'no quantity'}; one of K, sigma_d, DSNU1288, PRNU1288 is needed")
     return GivenTable(tuple(rows), "own", f"EMVA 1288 (left out: {', '.join(left) or 'nothing'})")
+
+
+def quantities(text: str, where: str) -> dict[str, float]:
+    """Every quantity of an XML or a CSV by its symbol, as written there."""
+    return dict(_of_xml(text, where) if text.lstrip().startswith("<") else _of_csv(text, where))
 
 
 def _of_xml(text: str, where: str) -> Iterator[tuple[str, float]]:

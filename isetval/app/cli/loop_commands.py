@@ -92,12 +92,13 @@ def load_both(model: str, campaign: str, args: argparse.Namespace | None = None)
     Those of captures are known once they are measured.
     """
     import isetval
+    from isetval.camera.model_file import model_path
     from isetval.core.cache import file_hash
     from isetval.files.captures import input_hashes
 
     loaded = isetval.load_model(model)
     shots = shots_of(loaded, campaign, args)
-    file = Path(model) / "camera.toml" if Path(model).is_dir() else Path(model)
+    file = model_path(model)
     return loaded, shots, {str(file): file_hash(file)} | input_hashes(shots)
 
 
@@ -145,12 +146,13 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
     from isetval.app.cli.loop_words import comparison_lines
     from isetval.app.limits import broken, load_limits
+    from isetval.camera.model_file import model_path
     from isetval.core.cache import file_hash
 
     limits = load_limits(args.limits) if args.limits else ()
     model, campaign, inputs = load_both(args.models[0], args.campaign, args)
     models = [model, *(isetval.load_model(m) for m in args.models[1:])]
-    inputs |= {m: file_hash(m) for m in args.models if Path(m).is_file()}
+    inputs |= {m: file_hash(model_path(m)) for m in args.models}
     found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say, progress=console.progress)
     inputs |= campaign.captures.hashes
     result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}

@@ -6,6 +6,7 @@ import argparse
 
 from isetval.app.cli.archive_commands import register as register_archive
 from isetval.app.cli.cache_command import register as register_cache
+from isetval.app.cli.camera_commands import register as register_cameras
 from isetval.app.cli.completion_command import register as register_completion
 from isetval.app.cli.inspection_commands import register as register_show
 from isetval.app.cli.laboratory_commands import register as register_lab
@@ -66,6 +67,7 @@ def build_parser() -> argparse.ArgumentParser:
         register_cache,
         register_completion,
         register_roi,
+        register_cameras,
     ):
         group(commands, common)
     return parser
