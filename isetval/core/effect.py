@@ -121,8 +121,9 @@ class Effect:
 
     A subclass states its stable ``name``, ``stage``, the unit it acts on and gives, whether it draws
     random numbers per sensor or per frame, and implements `apply` (or `apply_scene` for the scene
-    stage).  ``order`` sorts effects of one stage when a model puts one in; ``must_not_change`` names
-    what it leaves alone, of `UNTOUCHED`; ``rare`` says that its pattern is a few pixels or lines of a specimen,
+    stage).  ``absent`` says where it does not occur, ``imitated_by`` which others look like it.  ``order`` sorts effects
+    of one stage when a model puts one in; ``must_not_change`` names what it leaves alone, of `UNTOUCHED`; ``rare`` says
+    that its pattern is a few pixels or lines of a specimen,
     so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
     distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
@@ -140,6 +141,8 @@ class Effect:
     order: ClassVar[float] = 50.0
     equation: ClassVar[str] = ""
     reference: ClassVar[str] = ""
+    absent: ClassVar[str] = ""
+    imitated_by: ClassVar[tuple[str, ...]] = ()
     candidate: ClassVar[bool] = True
     halo_px: ClassVar[int] = 0
     rare: ClassVar[bool] = False

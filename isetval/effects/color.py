@@ -38,6 +38,12 @@ class CfaAngleShift(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 30.0
+    absent = "the middle of the field, absorbing filters without an interference coating"
+    imitated_by = (
+        "spd_mismatch",
+        "microlens",
+        "spectral_crosstalk",
+    )
     equation = "QE(lambda - Delta(r)), Delta = delta r^2, r = 1 at the corner"
     reference = "Macleod, Thin-Film Optical Filters, 4th ed., sec. 8.2 (shift with angle, second order)"
     must_not_change = ("dark", "edge")
@@ -61,6 +67,12 @@ class IrLeak(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 35.0
+    absent = "lights without infrared: LED, fluorescent tubes"
+    imitated_by = (
+        "spd_mismatch",
+        "channel_gain",
+        "spectral_crosstalk",
+    )
     equation = "QE + eps for lambda > 700 nm"
     reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., sec. 5.3 (infrared-cut filter)"
     must_not_change = ("dark", "edge")
@@ -109,6 +121,11 @@ class QuantumEfficiency(Effect):
     acts_on = "irradiance"
     gives = "electron"
     order = 40.0
+    absent = "nothing: every model has it"
+    imitated_by = (
+        "channel_gain",
+        "spd_mismatch",
+    )
     candidate = False
     equation = "mu_c = scale sum_lambda E QE_c (lambda / h c) A t dlambda"
     reference = "EMVA Standard 1288 Release 4.0, eq. 1-3; trapezoid rule over the bands"
@@ -169,6 +186,12 @@ class SpectralCrosstalk(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 50.0
+    absent = "monochrome sensors"
+    imitated_by = (
+        "channel_gain",
+        "spd_mismatch",
+        "ir_leak",
+    )
     equation = "mu' = M mu, M = I + (eps_ij off the diagonal)"
     reference = "Lyu et al., Accurate smartphone camera simulation using 3D scenes, sec. sensor QE (matrix M)"
     must_not_change = ("dark",)
@@ -203,6 +226,12 @@ class ChannelGain(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 55.0
+    absent = "levels given relative to each channel"
+    imitated_by = (
+        "spectral_crosstalk",
+        "spd_mismatch",
+        "conversion_gain",
+    )
     equation = "mu_R x (1 + d_R), mu_B x (1 + d_B)"
     reference = "Lyu et al., Accurate smartphone camera simulation using 3D scenes, sec. sensor QE (diagonal of M)"
     must_not_change = ("dark", "edge")
@@ -227,6 +256,8 @@ class ColorFilterArray(Effect):
     gives = "electron"
     makes_mosaic = True
     order = 90.0
+    absent = "monochrome sensors"
+    imitated_by = ("channel_gain",)
     candidate = False
     equation = "mu(row, col) = mu_c(row, col), c the colour of the pixel"
     reference = "Bayer, US patent 3971065 (1976)"

@@ -25,6 +25,14 @@ class Nonlinearity(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 60.0
+    absent = "files whose response was corrected"
+    imitated_by = (
+        "gain_knee",
+        "full_well",
+        "exposure_time",
+        "brighter_fatter",
+        "linearization_table",
+    )
     free = FreeAxis("level", "gain", 0.02, reach="well_e")
     equation = "x (1 - a x / FW)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.7 (linearity); second-order term"
@@ -53,6 +61,12 @@ class GainKnee(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 62.0
+    absent = "sensors of one conversion gain"
+    imitated_by = (
+        "nonlinearity",
+        "linearization_table",
+        "digital_gain",
+    )
     equation = "x for x < mu_k; mu_k + (x - mu_k)(1 + s) above"
     reference = "Fossum & Hondongwa, IEEE J. Electron Devices Soc. 2 (2014) 33 (dual conversion gain)"
     must_not_change = ("dark",)
@@ -77,6 +91,13 @@ class ConversionGain(Effect):
     acts_on = "electron"
     gives = "dn"
     order = 70.0
+    absent = "nothing: its value may be wrong in every model"
+    imitated_by = (
+        "read_noise",
+        "brighter_fatter",
+        "channel_gain",
+        "quantization",
+    )
     equation = "DN = g (ISO / base ISO) N"
     reference = "EMVA Standard 1288 Release 4.0, eq. 8 (overall system gain K)"
 
@@ -98,6 +119,13 @@ class BlackLevel(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 80.0
+    absent = "nothing: its value may be wrong in every model"
+    imitated_by = (
+        "dark_current",
+        "veiling_glare",
+        "ambient_light",
+        "wrong_black_tag",
+    )
     equation = "DN + black (2x2 of the sensor) + offset"
     reference = "EMVA Standard 1288 Release 4.0, sec. 2.3 (dark offset)"
     must_not_change = ("edge",)
@@ -128,6 +156,12 @@ class Quantization(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 90.0
+    absent = "floating-point files"
+    imitated_by = (
+        "read_noise",
+        "conversion_gain",
+        "linearization_table",
+    )
     equation = "step x round((DN + dnl z(code)) / step), limited to 0 ... white"
     reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4; IEEE Std 1241 (differential non-linearity)"
 

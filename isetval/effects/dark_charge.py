@@ -21,6 +21,12 @@ class DarkCurrent(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 20.0
+    absent = "exposures of milliseconds near room temperature"
+    imitated_by = (
+        "black_level",
+        "temperature_drift",
+        "amp_glow",
+    )
     free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + d t"
     reference = "EMVA Standard 1288 Release 4.0, sec. 7 (dark current)"
@@ -46,6 +52,12 @@ class TemperatureDrift(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 21.0
+    absent = "cooled cameras, series taken after an hour"
+    imitated_by = (
+        "dark_current",
+        "black_level",
+        "lag",
+    )
     free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + k n t, n the number of the frame within its shot"
     reference = "EMVA Standard 1288 Release 4.0, sec. 7.3 (temperature dependence); first-order term"
@@ -68,6 +80,12 @@ class AmpGlow(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 22.0
+    absent = "short exposures; outputs that are off while light is collected"
+    imitated_by = (
+        "dark_current",
+        "row_fpn",
+        "black_level",
+    )
     free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + g t exp(-d / w), d from (x0, y0) in half diagonals"
     reference = (
@@ -104,6 +122,12 @@ class HotPixels(Effect):
     rare = True
     step_share = 0.5  # a few hot pixels more or less: only far steps count enough
     order = 24.0
+    absent = "short exposures, cooled cameras"
+    imitated_by = (
+        "rts",
+        "dsnu",
+        "transient_hits",
+    )
     free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
     reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"
@@ -138,6 +162,11 @@ class TransientHits(Effect):
     rare = True
     step_share = 0.5  # a few hits more or less: only far steps count enough
     order = 32.0
+    absent = "short exposures of small sensors on the ground"
+    imitated_by = (
+        "hot_pixels",
+        "rts",
+    )
     equation = "N + charge x (exponential number of mean 1) in rate x t pixels of a million, chosen anew in every frame"
     reference = "Groom, Experimental Astronomy 14 (2002) 45 (cosmic rays and other nonsense in CCD images)"
 

@@ -26,6 +26,12 @@ class Dust(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 38.0
+    absent = "sealed cameras"
+    imitated_by = (
+        "vignetting",
+        "prnu",
+        "light_nonuniformity",
+    )
     candidate = False
     equation = "E x (1 - d exp(-((x - x0)^2 + (y - y0)^2)/(2 w^2))), in half diagonals"
     reference = "Dirik, Sencar & Memon, IEEE Trans. Inf. Forensics Secur. 3 (2008) 539 (Gaussian intensity loss)"

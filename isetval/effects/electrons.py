@@ -44,6 +44,12 @@ class GrGbImbalance(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 8.0
+    absent = "monochrome sensors"
+    imitated_by = (
+        "row_fpn",
+        "spectral_crosstalk",
+        "microlens",
+    )
     free = FreeAxis("field radius", "share", 0.5)
     equation = "Gr x (1 + delta), Gb x (1 - delta), delta = center + corner r^2"
     reference = "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006) (green imbalance)"
@@ -74,6 +80,13 @@ class Prnu(Effect):
     gives = "electron"
     random = "sensor"
     order = 10.0
+    absent = "darks"
+    imitated_by = (
+        "light_nonuniformity",
+        "rts",
+        "pdaf_pixels",
+        "alternating_columns",
+    )
     equation = "mu x (1 + sigma_P z), z fixed unit normals"
     reference = "EMVA Standard 1288 Release 4.0, sec. 4 (PRNU)"
     must_not_change = ("dark",)
@@ -101,6 +114,11 @@ class PdafPixels(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 12.0
+    absent = "sensors that focus by contrast"
+    imitated_by = (
+        "hot_pixels",
+        "prnu",
+    )
     equation = "mu x (1 - loss) where row mod period = col mod period = period / 2"
     reference = (
         "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006); regular grid is a convention"
@@ -131,6 +149,12 @@ class Lag(Effect):
     gives = "electron"
     needs_previous = True
     order = 14.0
+    absent = "shots after a dark or after a reset of all rows"
+    imitated_by = (
+        "dark_current",
+        "black_level",
+        "exposure_time",
+    )
     equation = "mu + lambda x (electrons of the previous frame)"
     reference = "Janesick, Photon Transfer (SPIE 2007), sec. 11 (residual image); first-order term"
 
@@ -163,6 +187,8 @@ class ShotNoise(Effect):
     gives = "electron"
     random = "frame"
     order = 30.0
+    absent = "nothing: light comes in photons"
+    imitated_by = ("conversion_gain",)
     candidate = False
     equation = "N ~ Poisson(mu)"
     reference = "EMVA Standard 1288 Release 4.0, eq. 9"
@@ -193,6 +219,12 @@ class BrighterFatter(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 35.0
+    absent = "low levels; thin sensors with strong fields have little"
+    imitated_by = (
+        "nonlinearity",
+        "interpixel_capacitance",
+        "conversion_gain",
+    )
     halo_px = 1
     equation = (
         "Q + (A/8) sum_nb (Q_nb - Q) F, F = (Q_nb + Q)/2, on a mosaic max: Var = mu (1 - A mu), Cov(nearest) = + A mu^2 / 4"
@@ -235,6 +267,12 @@ class FullWell(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 40.0
+    absent = "captures below saturation, converters that saturate first"
+    imitated_by = (
+        "quantization",
+        "nonlinearity",
+        "gain_knee",
+    )
     equation = "min(N, FW)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 2.4 (saturation)"
     must_not_change = ("dark",)

@@ -25,6 +25,12 @@ class ExposureTime(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 10.0
+    absent = "light switched at fixed time, mechanical shutters at long times"
+    imitated_by = (
+        "nonlinearity",
+        "black_level",
+        "lag",
+    )
     free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu x max(0, t (1 + eps) + t0) / t"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.1 (exposure control); shutter offset as in CMOS rolling shutters"
@@ -55,6 +61,11 @@ class Flicker(Effect):
     gives = "electron"
     random = "frame"
     order = 20.0
+    absent = "exposures of whole periods of the mains, lamps on direct current"
+    imitated_by = (
+        "temperature_drift",
+        "rolling_flicker",
+    )
     free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu x max(0, 1 + sigma z), z one unit normal per frame"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.2 (stability of the light source)"
@@ -85,6 +96,11 @@ class RollingFlicker(Effect):
     gives = "electron"
     random = "frame"
     order = 22.0
+    absent = "global shutters, exposures of whole periods, lamps on direct current"
+    imitated_by = (
+        "temporal_row_noise",
+        "flicker",
+    )
     equation = "mu x (1 + m sinc(f t) cos(2 pi f row t_row + phi)), sinc(x) = sin(pi x)/(pi x), phi one number per frame"
     reference = "Sheinin, Schechner & Kutulakos, CVPR 2017 (flicker of lamps under rolling shutters); first harmonic"
     must_not_change = ("dark",)

@@ -50,6 +50,12 @@ class LinearizationTable(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 10.0
+    absent = "files without a table"
+    imitated_by = (
+        "nonlinearity",
+        "gain_knee",
+        "quantization",
+    )
     equation = "u -> u + s u (1 - u), u = (DN - black)/(white - black), then rounding"
     reference = "Adobe, Digital Negative Specification 1.7, tag LinearizationTable; second-order curve"
     must_not_change = ("dark",)
@@ -78,6 +84,12 @@ class GainMapApplied(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 20.0
+    absent = "untouched raw data"
+    imitated_by = (
+        "microlens",
+        "vignetting",
+        "cos4",
+    )
     equation = "black + (DN - black) (1 + m r^2), r = 1 at the corner"
     reference = "Adobe, Digital Negative Specification 1.7, opcode GainMap; second-order map"
 
@@ -102,6 +114,12 @@ class DigitalGain(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 25.0
+    absent = "untouched raw data"
+    imitated_by = (
+        "conversion_gain",
+        "gain_knee",
+        "nonlinearity",
+    )
     equation = "black + (DN - black)(1 + d) where t > t1"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.7 (linearity against exposure time comes first)"
 
@@ -129,6 +147,12 @@ class RawFiltering(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 30.0
+    absent = "untouched raw data"
+    imitated_by = (
+        "charge_diffusion",
+        "interpixel_capacitance",
+        "defocus",
+    )
     halo_px = 2
     equation = "(1 - 4 w) DN + w (sum of the 4 nearest of the same colour)"
     reference = "first-order smoothing kernel; e.g. Gonzalez & Woods, Digital Image Processing, sec. 3.5"
@@ -163,6 +187,12 @@ class LensCorrection(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 35.0
+    absent = "untouched raw data"
+    imitated_by = (
+        "distortion",
+        "lateral_color",
+        "decenter",
+    )
     halo_px = 16
     equation = "DN(p) = DN_0(p + k r^3 outwards), cubic interpolation within each colour plane"
     reference = "Adobe, Digital Negative Specification 1.7, opcode WarpRectilinear"
@@ -201,6 +231,12 @@ class WrongBlackTag(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 40.0
+    absent = "files read with the sensor's own black"
+    imitated_by = (
+        "black_level",
+        "veiling_glare",
+        "ambient_light",
+    )
     equation = "DN + pedestal"
     reference = "Adobe, Digital Negative Specification 1.7, tag BlackLevel"
     must_not_change = ("edge",)
@@ -226,6 +262,11 @@ class BlackClip(Effect):
     gives = "dn"
     random = "sensor"
     order = 50.0
+    absent = "files with a pedestal far above the noise"
+    imitated_by = (
+        "read_noise",
+        "black_level",
+    )
     equation = "max(DN, black) in a fixed fraction of the pixels"
     reference = "moments of the censored normal: Johnson, Kotz & Balakrishnan, Continuous Univariate Distributions 1, sec. 13.10"
     must_not_change = ("edge",)

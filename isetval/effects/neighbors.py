@@ -37,6 +37,12 @@ class InterpixelCapacitance(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 42.0
+    absent = "CCDs; pixels that share one sense node"
+    imitated_by = (
+        "charge_diffusion",
+        "brighter_fatter",
+        "conversion_gain",
+    )
     halo_px = 1
     equation = "N + alpha sum_nb (N_nb - N): Var = mu ((1 - 4 alpha)^2 + 4 alpha^2), Cov(nearest) = 2 alpha (1 - 4 alpha) mu"
     reference = "Moore, Ninkov & Forrest, Proc. SPIE 5167 (2004) 204 (interpixel capacitance)"
@@ -72,6 +78,11 @@ class Blooming(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 38.0
+    absent = "scenes below saturation, sensors with an anti-blooming drain"
+    imitated_by = (
+        "veiling_glare",
+        "full_well",
+    )
     halo_px = BLOOM_REACH_PX
     equation = "N + b sum_k w_k max(N(row +- k) - W, 0), w_k prop. exp(-k/l), sum of both sides 1"
     reference = "Janesick, Scientific Charge-Coupled Devices (SPIE 2001), ch. 4 (blooming); exponential is a convention"
@@ -112,6 +123,12 @@ class AmplifierCrosstalk(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 71.0
+    absent = "sensors with a converter for every column"
+    imitated_by = (
+        "motion_blur",
+        "lateral_color",
+        "interpixel_capacitance",
+    )
     halo_px = SETTLING_REACH_PX
     equation = "DN(col) + c (DN(col - lag) - DN(col))"
     reference = "Freyhammer et al., Experimental Astronomy 12 (2001) 147 (cross-talk of read-out ports); first-order settling"

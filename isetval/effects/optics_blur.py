@@ -32,6 +32,11 @@ class Aperture(Effect):
     acts_on = "radiance"
     gives = "irradiance"
     order = 0.0
+    absent = "models whose lens is given by its rays (ray_transfer)"
+    imitated_by = (
+        "exposure_time",
+        "channel_gain",
+    )
     candidate = False
     equation = "E = pi L / (4 N^2) * transmittance * light_factor"
     reference = "ISO 15739:2013 annex; Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., eq. 2-24 (far object)"
@@ -66,6 +71,12 @@ class Diffraction(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 5.0
+    absent = "lenses far from their limit: pixels wider than lambda N"
+    imitated_by = (
+        "pixel_aperture",
+        "charge_diffusion",
+        "defocus",
+    )
     equation = "OTF(s) = (2/pi)(acos s - s sqrt(1-s^2)), s = f lambda N; defocused: Hopkins' integral"
     reference = "Goodman, Introduction to Fourier Optics, 3rd ed., eq. 6-31; Hopkins, Proc. R. Soc. A 231 (1955) 91"
     must_not_change = ("dark", "flat", "illumination")
@@ -90,6 +101,12 @@ class Defocus(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 10.0
+    absent = "flats, charts of large patches; hidden by a focus scale of unknown zero"
+    imitated_by = (
+        "spherical",
+        "charge_diffusion",
+        "axial_color",
+    )
     equation = "W20 = z/(8 N^2); geometric: 2 J1(X)/X, X = pi (z/N) f"
     reference = "Hopkins, Proc. R. Soc. A 231 (1955) 91"
     must_not_change = ("dark", "flat", "illumination")
@@ -114,6 +131,12 @@ class FieldCurvature(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 12.0
+    absent = "the middle of the field"
+    imitated_by = (
+        "sensor_tilt",
+        "astigmatism",
+        "defocus",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "z += kappa r^2, r = 1 at the corner"
     reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 5.3 (Petzval curvature)"
@@ -139,6 +162,12 @@ class SensorTilt(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 13.0
+    absent = "the middle of the field"
+    imitated_by = (
+        "field_curvature",
+        "defocus",
+        "chart_tilt",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "z += alpha x + beta y, x and y in half diagonals"
     reference = "geometry; Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., ch. 10"
@@ -166,6 +195,12 @@ class AxialColor(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 14.0
+    absent = "monochrome sensors in narrow light, mirrors"
+    imitated_by = (
+        "charge_diffusion",
+        "defocus",
+        "lateral_color",
+    )
     equation = "z(lambda) = z + a(lambda); a(610) = a_R, a(540) = 0, a(460) = a_B"
     reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 5"
     must_not_change = ("dark", "flat", "illumination")
@@ -187,6 +222,11 @@ class Spherical(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 15.0
+    absent = "lenses stopped down far"
+    imitated_by = (
+        "defocus",
+        "charge_diffusion",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "W = c sqrt(5) (6 rho^4 - 6 rho^2 + 1), c in waves rms at 550 nm"
     reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z11"
@@ -211,6 +251,12 @@ class Coma(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 16.0
+    absent = "the middle of a centred lens"
+    imitated_by = (
+        "lateral_color",
+        "motion_blur",
+        "astigmatism",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "W = c r sqrt(8) (3 rho^3 - 2 rho) cos(theta), theta from the field radius, r = 1 at the corner"
     reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z7/Z8"
@@ -236,6 +282,12 @@ class Astigmatism(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 17.0
+    absent = "the middle of a centred lens"
+    imitated_by = (
+        "field_curvature",
+        "motion_blur",
+        "sensor_tilt",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "W = c r^2 sqrt(6) rho^2 cos(2 theta), theta from the field radius, r = 1 at the corner"
     reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z5/Z6"
@@ -264,6 +316,12 @@ class MotionBlur(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 60.0
+    absent = "a camera and target that are bolted down, flashes"
+    imitated_by = (
+        "astigmatism",
+        "charge_diffusion",
+        "coma",
+    )
     free = FreeAxis("frequency", "transfer", 0.5)
     equation = "MTF x sinc(l (fx cos phi + fy sin phi))"
     reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., sec. 10.6 (linear motion)"

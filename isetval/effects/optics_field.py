@@ -30,6 +30,13 @@ class Cos4(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 30.0
+    absent = "telecentric lenses, whose chief rays arrive upright"
+    imitated_by = (
+        "microlens",
+        "vignetting",
+        "light_nonuniformity",
+        "pixel_angular_response",
+    )
     free = FreeAxis("field radius", "gain", 0.2)
     equation = "E x cos^(4 + delta)(theta), tan theta = distance from the middle / focal length"
     reference = "Kingslake, Optics in Photography (1992), ch. 7; Born & Wolf, 7th ed., sec. 4.8.1"
@@ -62,6 +69,12 @@ class Vignetting(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 32.0
+    absent = "lenses stopped down: the rim of the pupil is then free"
+    imitated_by = (
+        "light_nonuniformity",
+        "microlens",
+        "cos4",
+    )
     free = FreeAxis("field radius", "gain", 0.2)
     equation = "E x (1 - v max(0, (r - r0)/(1 - r0))^2), r = 1 at the corner"
     reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., sec. 8.1 (vignetting); quadratic onset is a convention"
@@ -90,6 +103,11 @@ class Decenter(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 34.0
+    absent = "centred lenses"
+    imitated_by = (
+        "light_nonuniformity",
+        "sensor_tilt",
+    )
     free = FreeAxis("field radius", "share", 0.5)
     equation = "E x (1 + a x + b y), x and y in half diagonals"
     reference = "first-order term of a shifted fall-off; Kingslake & Johnson, Lens Design Fundamentals, 2nd ed."
@@ -116,6 +134,12 @@ class EtalonRipple(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 36.0
+    absent = "broad light, anti-reflection coatings, no cover glass"
+    imitated_by = (
+        "light_nonuniformity",
+        "prnu",
+        "vignetting",
+    )
     free = FreeAxis("field radius", "share", 0.5)
     equation = "E x (1 + a cos(2 pi (550 nm/lambda) (m - n r^2))), m order in the middle, n fringes to the corner"
     reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 7.6 (plane-parallel plate, low reflectance)"
@@ -154,6 +178,12 @@ class LateralColor(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 40.0
+    absent = "the middle of the field, monochrome sensors in narrow light"
+    imitated_by = (
+        "distortion",
+        "coma",
+        "axial_color",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "dx_c = a_c r outwards; a(610) = a_R, a(540) = 0, a(460) = a_B, linear between"
     reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 11 (lateral color)"
@@ -186,6 +216,11 @@ class Distortion(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 42.0
+    absent = "the middle of the field"
+    imitated_by = (
+        "lateral_color",
+        "sensor_tilt",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "dr = k1 r^3 outwards, r = 1 at the corner"
     reference = "Brown, Photogrammetric Engineering 32 (1966) 444 (radial term)"
@@ -233,6 +268,12 @@ class Ghost(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 80.0
+    absent = "scenes without bright places, well coated lenses"
+    imitated_by = (
+        "light_nonuniformity",
+        "veiling_glare",
+        "vignetting",
+    )
     free = FreeAxis("field radius", "share", 0.5)
     equation = "E += gamma <E> disc(k r)"
     reference = "ISO 18844:2017 (image flare); Kingslake, Optics in Photography (1992), ch. 5 (ghosts)"
@@ -263,6 +304,12 @@ class VeilingGlare(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 90.0
+    absent = "capped darks; small in clean lenses without a bright surround"
+    imitated_by = (
+        "ambient_light",
+        "black_reflectance",
+        "black_level",
+    )
     free = FreeAxis("field radius", "share", 0.5)
     equation = "E += gamma <E>, <E> the mean over the whole field"
     reference = "ISO 18844:2017; ISO 9358:1994"

@@ -45,6 +45,12 @@ class PixelAperture(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 10.0
+    absent = "flats: it blurs and takes no light"
+    imitated_by = (
+        "charge_diffusion",
+        "diffraction",
+        "defocus",
+    )
     free = FreeAxis("frequency", "transfer", 0.5)
     equation = "MTF x sinc(w fx) sinc(w fy)"
     reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., eq. 10-26 (detector MTF)"
@@ -69,6 +75,12 @@ class ChargeDiffusion(Effect):
     acts_on = "irradiance"
     gives = "irradiance"
     order = 20.0
+    absent = "back-illuminated sensors with deep trenches: little of it"
+    imitated_by = (
+        "pixel_aperture",
+        "defocus",
+        "interpixel_capacitance",
+    )
     free = FreeAxis("frequency", "transfer", 0.5)
     equation = "MTF x exp(-2 pi^2 sigma^2 f^2), sigma = sigma_c (1 + growth (lambda - 550 nm)/100 nm)"
     reference = "Janesick, Photon Transfer (SPIE 2007), sec. 10; Gaussian kernel is a convention"
@@ -99,6 +111,13 @@ class Microlens(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 45.0
+    absent = "telecentric lenses; sensors whose microlenses are shifted to the chief rays"
+    imitated_by = (
+        "cos4",
+        "vignetting",
+        "light_nonuniformity",
+        "pixel_angular_response",
+    )
     free = FreeAxis("field radius", "share", 0.5)
     equation = "mu_c x (1 - m_c r^2), r = 1 at the corner"
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); second-order term"
@@ -137,6 +156,12 @@ class PixelAngularResponse(Effect):
     acts_on = "electron"
     gives = "electron"
     order = 46.0
+    absent = "telecentric lenses"
+    imitated_by = (
+        "microlens",
+        "cos4",
+        "vignetting",
+    )
     free = FreeAxis("chief ray angle", "share", 0.5)
     equation = "mu_c x (1 - m_c)^((a/30 deg)^2), a = chief ray angle + shift r, r = 1 at the corner"
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); forms are conventions"

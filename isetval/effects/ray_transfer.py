@@ -155,6 +155,13 @@ class RayTransfer(Effect):
     acts_on = "radiance"
     gives = "irradiance"
     order = 0.0
+    absent = "models whose lens is given by numbers"
+    imitated_by = (
+        "cos4",
+        "vignetting",
+        "defocus",
+        "field_curvature",
+    )
     equation = "E = L light_factor integral cos^4(theta)/z^2 dA; OTF = diffraction x sum w exp(-2 pi i f p)"
     reference = "Goossens, Lyu, Ko, Wan, Farrell & Wandell, Ray-transfer functions, Opt. Express 30 (2022) 24031"
     must_not_change = ("dark",)

@@ -34,6 +34,12 @@ class Dsnu(Effect):
     gives = "electron"
     random = "sensor"
     order = 45.0
+    absent = "raw files whose darks were subtracted"
+    imitated_by = (
+        "hot_pixels",
+        "row_fpn",
+        "column_fpn",
+    )
     equation = "N + sigma_D z, z fixed unit normals"
     reference = "EMVA Standard 1288 Release 4.0, sec. 4 (DSNU)"
 
@@ -60,6 +66,12 @@ class Rts(Effect):
     rare = True
     step_share = 0.5  # a few hot pixels more or less: only far steps count enough
     order = 48.0
+    absent = "large pixels, CCDs"
+    imitated_by = (
+        "hot_pixels",
+        "read_noise",
+        "dsnu",
+    )
     equation = "N +- amplitude x (exponential number of mean 1) / 2 for a fraction of the pixels"
     reference = "Wang, Rao, Mierop & Theuwissen, IEDM 2006 (random telegraph signal in CMOS image sensor pixels)"
 
@@ -90,6 +102,12 @@ class ReadNoise(Effect):
     gives = "electron"
     random = "frame"
     order = 50.0
+    absent = "nothing: every read-out has it; hidden where steps of the converter are wider"
+    imitated_by = (
+        "quantization",
+        "rts",
+        "conversion_gain",
+    )
     equation = "N + sigma z, z unit normals of the frame"
     reference = "EMVA Standard 1288 Release 4.0, eq. 12 (temporal dark noise)"
 
@@ -116,6 +134,8 @@ class ResetNoise(Effect):
     gives = "electron"
     random = "frame"
     order = 49.0
+    absent = "read-out with correlated double sampling: only what it leaves"
+    imitated_by = ("read_noise",)
     candidate = False
     equation = "N + sigma z; without correlated double sampling sigma = sqrt(k T C)/q"
     reference = "Janesick, Photon Transfer (SPIE 2007), sec. 11.2 (reset noise)"
@@ -139,6 +159,12 @@ class TemporalRowNoise(Effect):
     gives = "dn"
     random = "frame"
     order = 72.0
+    absent = "rows corrected by their own optical black"
+    imitated_by = (
+        "rolling_flicker",
+        "row_fpn",
+        "correlated_row_noise",
+    )
     equation = "DN + sigma_rt z(row, frame)"
     reference = "ISO 15739:2013 (row temporal noise); EMVA Standard 1288 Release 4.0, sec. 8"
 
@@ -164,6 +190,12 @@ class RowFpn(Effect):
     random = "sensor"
     rare = True
     order = 73.0
+    absent = "files whose rows were corrected"
+    imitated_by = (
+        "temporal_row_noise",
+        "amp_glow",
+        "dsnu",
+    )
     equation = "DN + sigma_r z(row)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 8 (row, column and pixel parts)"
 
@@ -185,6 +217,11 @@ class ColumnFpn(Effect):
     random = "sensor"
     rare = True
     order = 74.0
+    absent = "sensors with one converter; files whose columns were corrected"
+    imitated_by = (
+        "alternating_columns",
+        "dsnu",
+    )
     equation = "DN + sigma_c z(column)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 8 (row, column and pixel parts)"
 
@@ -210,6 +247,8 @@ class CorrelatedRowNoise(Effect):
     gives = "dn"
     random = "frame"
     order = 72.5
+    absent = "rows corrected by their own optical black"
+    imitated_by = ("temporal_row_noise",)
     candidate = False
     equation = "DN + sigma z(row, frame), power spectrum of z along the rows prop. 1/f^beta, variance 1 over the sensor"
     reference = "Tian & El Gamal, IEEE Trans. Circuits Syst. II 48 (2001) 151 (1/f noise in switched circuits)"
@@ -248,6 +287,12 @@ class AlternatingColumns(Effect):
     acts_on = "dn"
     gives = "dn"
     order = 74.5
+    absent = "sensors with one converter, or one for each column"
+    imitated_by = (
+        "column_fpn",
+        "prnu",
+        "channel_gain",
+    )
     equation = "DN (1 +- d) +- o, + in the first half of each period of columns, - in the second"
     reference = "EMVA Standard 1288 Release 4.0, sec. 8 (periodic nonuniformity in spectrograms)"
 

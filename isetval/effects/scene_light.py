@@ -28,6 +28,14 @@ class LightNonuniformity(Effect):
     name = "light_nonuniformity"
     stage = "scene"
     order = 10.0
+    absent = "scenes of a chart or edge, which is lit by itself"
+    imitated_by = (
+        "vignetting",
+        "microlens",
+        "cos4",
+        "decenter",
+        "prnu",
+    )
     equation = "L x (1 + a x + b y + c r^2), r = 1 at the corner"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.2 (homogeneity of the light source); second-order expansion"
     must_not_change = ("dark", "edge", "chart")
@@ -55,6 +63,14 @@ class SpdMismatch(Effect):
     name = "spd_mismatch"
     stage = "scene"
     order = 12.0
+    absent = "lights whose spectrum was measured at the place of the target"
+    imitated_by = (
+        "spectral_crosstalk",
+        "channel_gain",
+        "cfa_angle_shift",
+        "ir_leak",
+        "fluorescence",
+    )
     free = FreeAxis("wavelength", "gain", 0.1)
     equation = "L x max(0, 1 + tilt (lambda - 550)/100 + spike exp(-(lambda - lambda_s)^2 / (2 w^2)))"
     reference = "CIE 15:2018, sec. 4 (tolerances of illuminants); first-order terms"
@@ -90,6 +106,13 @@ class PositionScale(Effect):
     name = "position_scale"
     stage = "scene"
     order = 14.0
+    absent = "targets that stay where they are while the camera turns"
+    imitated_by = (
+        "vignetting",
+        "cos4",
+        "light_nonuniformity",
+        "microlens",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "L x (1 + a x + b y + c r^2) at the middle of the window, in half diagonals"
     reference = "second-order expansion of the light over set-ups"
@@ -117,6 +140,12 @@ class BlackReflectance(Effect):
     name = "black_reflectance"
     stage = "scene"
     order = 20.0
+    absent = "light traps"
+    imitated_by = (
+        "veiling_glare",
+        "ambient_light",
+        "black_level",
+    )
     equation = "rho of black elements + rho_b"
     reference = "Lyu et al., Accurate smartphone camera simulation using 3D scenes (black lines assumed to reflect nothing)"
     must_not_change = ("dark", "flat", "illumination")
@@ -138,6 +167,12 @@ class ChartTilt(Effect):
     name = "chart_tilt"
     stage = "scene"
     order = 22.0
+    absent = "targets lit through their own diffuser"
+    imitated_by = (
+        "light_nonuniformity",
+        "vignetting",
+        "position_scale",
+    )
     equation = "L x (1 + a x + b y) over the chart, x and y from -1 to 1 over the window"
     reference = "Lambert's cosine law, first order; Lyu et al., Accurate smartphone camera simulation using 3D scenes"
     must_not_change = ("dark", "flat", "illumination")
@@ -160,6 +195,12 @@ class Gloss(Effect):
     name = "gloss"
     stage = "scene"
     order = 24.0
+    absent = "matte targets, and lamps that stand 45 degrees aside"
+    imitated_by = (
+        "ambient_light",
+        "veiling_glare",
+        "black_reflectance",
+    )
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "rho + max(0, k + kx x + ky y) at the middle of the window, in half diagonals"
     reference = "Nicodemus et al., NBS Monograph 160 (1977) (specular part of reflectance); first-order expansion"
@@ -186,6 +227,12 @@ class Fluorescence(Effect):
     name = "fluorescence"
     stage = "scene"
     order = 26.0
+    absent = "lights without violet, papers without brighteners"
+    imitated_by = (
+        "spd_mismatch",
+        "gloss",
+        "spectral_crosstalk",
+    )
     equation = "L_patch + yield <L(lambda < 430 nm)> exp(-(lambda - peak)^2 / (2 w^2))"
     reference = "CIE 182:2007 (fluorescent samples); Gaussian emission is a convention"
     must_not_change = ("dark", "flat", "illumination", "edge")
@@ -226,6 +273,12 @@ class Interreflection(Effect):
     name = "interreflection"
     stage = "scene"
     order = 28.0
+    absent = "targets without walls beside them"
+    imitated_by = (
+        "ambient_light",
+        "spectral_crosstalk",
+        "gloss",
+    )
     equation = "E (1 + b rho_wall k), k the wall's view factor"
     reference = "Goral et al., SIGGRAPH 1984 (radiosity), first bounce"
     must_not_change = ("dark", "flat", "illumination")
@@ -247,6 +300,13 @@ class AmbientLight(Effect):
     name = "ambient_light"
     stage = "scene"
     order = 40.0
+    absent = "capped darks, dark rooms"
+    imitated_by = (
+        "veiling_glare",
+        "black_reflectance",
+        "black_level",
+        "gloss",
+    )
     free = FreeAxis("wavelength", "share", 0.5)
     equation = "L + L_a max(0, 1 + tilt (lambda - 550)/100)"
     reference = "ISO 18844:2017 (stray light of the set-up)"

@@ -128,6 +128,9 @@ def _effect_row(cls: Any) -> dict[str, Any]:
         "random": cls.random,
         "equation": cls.equation,
         "reference": cls.reference,
+        "absent": cls.absent,
+        "imitated_by": list(cls.imitated_by),
+        "free_along": cls.free.axis if cls.free is not None else None,
         "files": list(cls.files()),
         "parameters": [vars(p) for p in cls.parameters()],
         "text": inspect.cleandoc(cls.__doc__ or ""),
@@ -141,6 +144,12 @@ def _parameter_words(p: dict[str, Any]) -> str:
 def _effect_text(row: dict[str, Any]) -> list[str]:
     lines = [f"# {row['name']} ({row['stage']}, place {row['order']:g})", *(f"  {line}" for line in row["text"].splitlines())]
     lines += [f"  equation: {row['equation']}", f"  source: {row['reference']}"]
+    if row["free_along"]:
+        lines.append(f"  other forms: any smooth one along the {row['free_along']}")
+    if row["absent"]:
+        lines.append(f"  does not occur in: {row['absent']}")
+    if row["imitated_by"]:
+        lines.append(f"  imitated by: {', '.join(row['imitated_by'])}")
     for p in row["parameters"]:
         scale = f", plausible scale {p['tau']:g}" if p["tau"] is not None else ""
         lines.append(f"  {p['name']} [{p['unit']}], {p['low']:g} to {p['high']:g}, no effect at {p['null']:g}{scale}: {p['doc']}")
