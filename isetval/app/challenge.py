@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,15 +15,16 @@ import numpy as np
 
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
-from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
+from isetval.core.toml import resolve_path
 from isetval.files.result_file import Answer, Commitment, Truth, checked, read_as
 
 COMMITMENT = "commitment.json"
-KINDS = ("null", "single", "pair")
-CHANCES = (0.2, 0.6, 0.2)
-STRENGTHS = (0.5, 1.0, 2.0, 4.0)
+KINDS = ("null", "single", "pair", "form", "outsider")
+# a third of the challenges must be what no catalogue describes: wrong forms and strangers (guide of the diagnosis, section 5)
+CHANCES = (0.2, 0.3, 0.15, 0.15, 0.2)
+STRENGTHS = (0.5, 1.0, 2.0, 4.0)  # times the size met in practice
 
 
 @dataclass(frozen=True)
@@ -38,36 +40,6 @@ def commitment_of(truth: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain(truth), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def hidable(model: CameraModel) -> list[type[Effect]]:
-    """Effects of the catalogue that can be hidden in a simulation of ``model`` without further files."""
-    from isetval.effects import catalogue
-
-    return [
-        cls
-        for cls in catalogue().values()
-        if cls.candidate and not cls.files() and any(p.tau is not None and not p.shape for p in cls.parameters())
-    ]
-
-
-def draw_effect(model: CameraModel, rng: np.random.Generator, *, avoid: str = "") -> Effect:
-    """An effect of the catalogue, its parameters moved from where the model has them by a drawn number of plausible scales."""
-    choices = [cls for cls in hidable(model) if cls.name != avoid]
-    cls = choices[int(rng.integers(len(choices)))]
-    start = model.effect(cls.name)
-    if start is None:
-        nulls: dict[str, Any] = {p.name: p.null for p in cls.parameters() if p.tau is not None and not p.shape}
-        start = cls(**nulls)
-    strength = float(rng.choice(STRENGTHS))
-    values = {}
-    for p in cls.parameters():
-        if p.tau is None or p.shape:
-            continue
-        now = start.values()[p.name]
-        step = strength * p.tau * (1 if now - strength * p.tau < p.low or rng.random() < 0.5 else -1)
-        values[p.name] = float(np.clip(now + step, p.low, p.high))
-    return start.changed(**values, source="hidden")
-
-
 def make_challenge(
     model: CameraModel,
     plan: Campaign,
@@ -77,7 +49,10 @@ def make_challenge(
     seed: int | None = None,
     kind: str | None = None,
 ) -> dict[str, Any]:
-    """Shoot ``plan`` with none, one or two effects hidden in ``model``; write campaign and commitment, and the truth elsewhere.
+    """Shoot ``plan`` with the foreign camera and something hidden in it; write campaign and commitment, the truth elsewhere.
+
+    What is hidden comes from code that shares nothing with the catalogue (`isetval.testing.foreign_camera`): effects
+    of the catalogue in forms of their own, wrong forms, and effects that no catalogue holds.
 
     Parameters
     ----------
@@ -89,7 +64,7 @@ def make_challenge(
     seed : int, optional
         For tests; without it even the maker does not know what is drawn.
     kind : str, optional
-        ``null``, ``single`` or ``pair``; drawn (20, 60, 20 %) unless given.
+        ``null``, ``single``, ``pair``, ``form`` or ``outsider``; drawn (20, 30, 15, 15, 20 %) unless given.
 
     Returns
     -------
@@ -99,11 +74,11 @@ def make_challenge(
     Raises
     ------
     InputError
-        If a place is in use, or the truth would lie inside the folder.
+        If a place is in use, the truth would lie inside the folder, or the foreign camera cannot shoot this plan with
+        this model.
     """
-    from isetval.camera.shooting import simulate
     from isetval.core.writing import write_whole
-    from isetval.files.campaign_writer import check_free, write_campaign
+    from isetval.files.campaign_writer import check_free
 
     folder, truth_file = Path(folder), Path(truth_file)
     check_free(folder)
@@ -114,18 +89,7 @@ def make_challenge(
     own_seed = secrets.randbelow(2**31) if seed is None else seed
     rng = np.random.default_rng([own_seed, 0xC4A11E])
     kind = kind or str(rng.choice(KINDS, p=CHANCES))
-    hidden = _hidden(model, rng, kind)
-    truth_model = model
-    for effect in hidden:
-        truth_model = truth_model.with_effect(effect)
-    shot = simulate(truth_model, plan.as_plan(), own_seed, draw=True)
-    truth = {
-        "kind": kind,
-        "effects": [{"name": e.name, "parameters": dict(e.values())} for e in hidden],
-        "seed": own_seed,
-        "nuisances": shot.provenance.get("nuisances", {}),
-        "nonce": secrets.token_hex(16),
-    }
+    truth = _shoot(model, plan, folder, kind, own_seed, rng)
     commitment = {
         "commitment": commitment_of(truth),
         "algorithm": "SHA-256 of the truth file's JSON with sorted keys and no spaces",
@@ -133,20 +97,57 @@ def make_challenge(
         "model_sha256": model.digest(),
         "plan": plan.name,
     }
-    # neither seed nor model hash may stand in the files: with them the noise could be subtracted
-    write_campaign(replace(shot, provenance={}, name="challenge"), folder, remarks=["A sealed challenge: see commitment.json."])
     write_whole(folder / COMMITMENT, json.dumps(commitment, indent=1) + "\n")
     write_whole(truth_file, json.dumps(plain(truth), indent=1) + "\n")
     return commitment
 
 
-def _hidden(model: CameraModel, rng: np.random.Generator, kind: str) -> list[Effect]:
+def _shoot(model: CameraModel, plan: Campaign, folder: Path, kind: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Plan and model as files, read by the foreign camera; its pictures and the plan in the folder; the truth."""
+    from isetval.camera.model_file import load_model
+    from isetval.camera.model_writer import save_model
+    from isetval.files.campaign_writer import write_campaign, write_tables
+    from isetval.testing.foreign_camera.camera_file import nominal_camera
+    from isetval.testing.foreign_camera.plan_file import read_plan, roles_seen, shoot_plan
+
+    with tempfile.TemporaryDirectory() as scratch:
+        plain_plan = replace(plan.as_plan(), provenance={}, name="challenge")
+        where = write_campaign(plain_plan, Path(scratch) / "plan")
+        save_model(load_model(model.path) if model.path else model, where / "camera.toml")
+        curves: Any = model.effect("quantum_efficiency")
+        try:
+            nominal = nominal_camera(where / "camera.toml", resolve_path(curves.file, Path(curves.base)) if curves else "")
+            hidden = _hidden(nominal, roles_seen(read_plan(where, nominal)), rng, kind)
+            folder.mkdir(exist_ok=True)
+            foreign = {entry["form"]: entry["foreign_parameters"] for entry in hidden}
+            files, unknowns = shoot_plan(where, nominal, folder, seed=seed, hidden=foreign)
+        except ValueError as error:
+            raise InputError(f"challenge: {error}") from None
+    # neither seed nor model hash may stand in the files: with them the noise could be subtracted
+    write_tables(plain_plan, folder, files, ["A sealed challenge: see commitment.json."])
+    return {"kind": kind, "effects": hidden, "seed": seed, "nuisances": unknowns, "nonce": secrets.token_hex(16)}
+
+
+def _hidden(nominal: Any, seen: set[str], rng: np.random.Generator, kind: str) -> list[dict[str, Any]]:
+    """What is hidden: drawn from what the plan's shots can show, in sizes around those of practice."""
+    from isetval.testing.foreign_camera.concealed_effects import EFFECTS
+    from isetval.testing.foreign_camera.concealed_strangers import FORMS, OUTSIDERS
+
     if kind not in KINDS:
         raise InputError(f"kind is {kind!r}; it needs one of {', '.join(KINDS)}")
-    hidden: list[Effect] = []
-    for _ in range(KINDS.index(kind)):
-        hidden.append(draw_effect(model, rng, avoid=hidden[0].name if hidden else ""))
-    return hidden
+    pool = {"form": FORMS, "outsider": OUTSIDERS}.get(kind, EFFECTS)
+    # of a chart, the foreign camera's own patches are not in everybody's plan
+    pool = tuple(c for c in pool if c.seen in seen and c.key != "faded_patch")
+    wanted = {"null": 0, "pair": 2}.get(kind, 1)
+    if len(pool) < wanted:
+        raise InputError(f"challenge: no shot of the plan can show a hidden {kind}; add darks, flats, edges or charts")
+    out = []
+    for i in rng.permutation(len(pool))[:wanted]:
+        chosen = pool[int(i)]
+        parameters = chosen.parameters(float(rng.choice(STRENGTHS)) if chosen.scaled else 1.0, nominal)
+        names = {"name": chosen.name or chosen.key, "form": chosen.key, "also": list(chosen.also)}
+        out.append(names | {"parameters": chosen.truth(parameters, nominal), "foreign_parameters": parameters})
+    return out
 
 
 def reveal_challenge(folder: Path | str, truth_file: Path | str, *, diagnosis: Mapping[str, Any] | None = None) -> Reveal:
@@ -169,22 +170,31 @@ def reveal_challenge(folder: Path | str, truth_file: Path | str, *, diagnosis: M
 
 
 def score_diagnosis(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """How a diagnosis did: named first, class, effects missed and invented, pulls of the parameters."""
-    hidden = {e["name"]: e["parameters"] for e in truth["effects"]}
+    """How a diagnosis did: named first, class, effects missed and invented, pulls of the parameters.
+
+    What no catalogue holds is answered rightly by a flag (verdict partial or unexplained) and missed without one.
+    """
+    hidden = {e["name"]: e for e in truth["effects"]}
+    stranger = truth["kind"] == "outsider"
+    flagged = diagnosis.get("verdict") in ("partial", "unexplained")
     named = {e["name"]: e for e in diagnosis.get("effects", [])}
     classes = {name: {name, *entry["equivalent"]} for name, entry in named.items()}
-    found = {name for name in hidden if any(name in members for members in classes.values())}
-    invented = [name for name, members in classes.items() if not members & set(hidden)]
+    right = {name: {name, *entry.get("also", ())} for name, entry in hidden.items()}
+    found = {name for name, names in right.items() if any(names & members for members in classes.values())}
+    invented = [name for name, members in classes.items() if not any(members & names for names in right.values())]
     first = next(iter(named), None)
     pulls = {
         f"{name}.{p}": (entry["parameters"][p]["value"] - value) / entry["parameters"][p]["sigma"]
         for name, entry in named.items()
-        for p, value in hidden.get(name, {}).items()
+        for p, value in (hidden[name]["parameters"] if name in hidden else {}).items()
         if p in entry["parameters"] and entry["parameters"][p].get("sigma") and entry["parameters"][p]["value"] is not None
     }
+    if stranger and flagged:
+        found, invented = set(hidden), []
+    first_right = flagged if stranger and not found else any(first in names for names in right.values())
     return {
         "verdict": diagnosis.get("verdict"),
-        "first_right": first in hidden if hidden else first is None,
+        "first_right": first_right if hidden else first is None,
         "class_right": bool(found) if hidden else first is None,
         "missed": sorted(set(hidden) - found),
         "invented": invented,

@@ -153,6 +153,31 @@ def test_challenge_is_sealed_and_revealed(run, run_json, lab, tmp_path):
     assert "SHA-256" in err
 
 
+def test_challenge_is_shot_by_other_code_than_the_catalogue(run_json, lab, tmp_path):
+    """Strangers are answered by a flag; what the second camera lacks is refused by name."""
+    code, made, _ = run_json("challenge", "make", CAMERA, lab, "-o", tmp_path / "c", "--kind", "outsider", "--seed", 3)
+    assert code == 0
+    truth = json.loads(Path(made["truth"]).read_text())
+    (entry,) = truth["effects"]
+    assert entry["name"] not in isetval.effects.catalogue()
+    campaign = isetval.load_campaign(tmp_path / "c")
+    assert {c.provenance.get("make") for s in campaign.shots for c in campaign.captures[s.name]} == {"Foreign"}
+    for verdict, right in (("unexplained", True), ("attributed", False)):
+        answer = tmp_path / f"{verdict}.json"
+        named = [] if verdict == "unexplained" else [{"name": "ghost", "parameters": {}, "equivalent": []}]
+        answer.write_text(json.dumps({"verdict": verdict, "effects": named}))
+        _, result, _ = run_json("challenge", "reveal", tmp_path / "c", "--diagnosis", answer)
+        assert result["score"]["class_right"] is right
+    from isetval.camera.model_writer import save_model
+
+    model = isetval.load_model(CAMERA)
+    other = model.with_effect(isetval.effects.catalogue()["veiling_glare"](gamma=0.01))
+    save_model(other, tmp_path / "other.toml")
+    code, _, err = run_json("challenge", "make", tmp_path / "other.toml", lab, "-o", tmp_path / "d")
+    assert code == 3
+    assert "veiling_glare" in err
+
+
 def test_campaign_init_drafts_what_load_campaign_reads(run, lab, tmp_path):
     folder = tmp_path / "loose"
     folder.mkdir()

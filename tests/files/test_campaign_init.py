@@ -365,9 +365,11 @@ def _with_spectra(folder):
     """What a person adds: the lights' spectra and the chart's reflectances, which no file can say."""
     import re
 
-    from foreign_camera import campaign, scene, sensor, spectra
+    from isetval.testing.foreign_camera import campaign, spectra
+    from isetval.testing.foreign_camera.camera_file import nominal_camera
+    from isetval.testing.foreign_camera.types import Chart
 
-    campaign._write_spectra(folder, sensor.nominal_camera(data_folder() / "pixel4a"))
+    campaign._write_spectra(folder, nominal_camera(data_folder() / "pixel4a" / "camera.toml"))
     text = (folder / "campaign.toml").read_text()
     for light in spectra.LIGHTS:
         text = re.sub(rf"(\[light\.{light}\]\n)radiance = .*\ncolumn = .*\nscale = .*\n", rf'\1radiance = "{light}.csv"\n', text)
@@ -375,7 +377,7 @@ def _with_spectra(folder):
     for i, chart in enumerate(charts):
         names = iter(spectra.reflectances())
         chart = re.sub(r"reflectance = [0-9.]+ \}", lambda _, n=names: f'reflectance = "patches.csv:{next(n)}" }}', chart)
-        charts[i] = chart.replace("surround = 0.05", f"surround = {scene.CHART_SURROUND}")
+        charts[i] = chart.replace("surround = 0.05", f"surround = {Chart.surround}")
     (folder / "campaign.toml").write_text("[target.chart_".join([head, *charts]))
 
 

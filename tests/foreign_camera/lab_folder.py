@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from . import campaign, plan
-from .dngfile import write_dng
-from .scene import Chart, Edge, Place
-from .sensor import nominal_camera, specimen_of
-from .spectra import reflectances
+from isetval.testing.foreign_camera import campaign, plan
+from isetval.testing.foreign_camera.camera_file import nominal_camera
+from isetval.testing.foreign_camera.dngfile import write_dng
+from isetval.testing.foreign_camera.sensor import specimen_of
+from isetval.testing.foreign_camera.spectra import reflectances
+from isetval.testing.foreign_camera.types import Chart, Edge, Place
 
 VISITS = {"A": datetime(2026, 3, 2, 10, 0), "B": datetime(2026, 3, 5, 14, 30)}
 FRAME_WINDOW, EDGE_WINDOW, CHART_WINDOW = (1464, 1968, 96, 96), (1464, 1968, 96, 96), (1408, 1872, 208, 288)
@@ -74,7 +75,7 @@ def _chart(corner):
 def write_lab(folder, nominal_folder, *, seed, places=8, hidden=None, blur_chart=False):
     """Shoot both visits into ``folder``; returns the true shots.  Charts are sharp unless ``blur_chart``, which takes time."""
     folder = Path(folder)
-    nominal = nominal_camera(nominal_folder)
+    nominal = nominal_camera(Path(nominal_folder) / "camera.toml")
     lights = campaign.lights_of(nominal)
     camera = specimen_of(nominal, seed, hidden)
     truth, number = [], 0
@@ -83,7 +84,7 @@ def write_lab(folder, nominal_folder, *, seed, places=8, hidden=None, blur_chart
         for where, place, frames in shots(session, places):
             planned = plan.Planned(place, f"{session} {where}", session, frames)
             names = []
-            for codes in campaign.shoot(planned, camera, lights, seed, blur_chart=blur_chart):
+            for codes in campaign.shoot(planned, camera, lights, seed, blur_chart=blur_chart)[0]:
                 number, now = number + 1, now + timedelta(seconds=40)
                 name = f"{where}/IMG_{number:04d}.dng"
                 (folder / where).mkdir(parents=True, exist_ok=True)

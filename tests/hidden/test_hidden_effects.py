@@ -1,7 +1,7 @@
 """Effects hidden by another camera are found, true models are left alone, strangers are flagged.
 
-The truth comes from ``tests/foreign_camera``.  ``python tests/hidden/run_all.py`` runs and prints all trials;
-``pytest -m slow tests/hidden`` asserts them.
+The truth comes from ``isetval.testing.foreign_camera``.  ``python analyses/hidden_effects.py`` scores hundreds of drawn
+trials; these are named ones, and ``pytest -m slow tests/hidden`` asserts them on the whole plan.
 """
 
 from __future__ import annotations

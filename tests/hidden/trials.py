@@ -8,11 +8,11 @@ import warnings
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from foreign_camera.campaign import write_campaign
 from foreign_camera.truths import TRIALS, Trial
 
 import isetval
 from isetval.effects import catalogue
+from isetval.testing.foreign_camera.campaign import write_campaign
 
 NOMINAL = Path(__file__).resolve().parents[2] / "data" / "pixel4a"
 SIGMAS = 3.0
@@ -50,7 +50,7 @@ def run_trial(name, folder, *, seed_shift=0, short=False, say=None):
     """Write, diagnose and judge one trial (``short``: on the plan of darks and flats only)."""
     trial = TRIALS[name]
     start = time.perf_counter()
-    write_campaign(folder, NOMINAL, seed=trial.seed + seed_shift, hidden=trial.hidden, short=short)
+    write_campaign(folder, NOMINAL, seed=trial.seed + seed_shift, hidden=trial.hidden, kind="small" if short else "full")
     model = isetval.load_model(NOMINAL / "camera.toml")
     campaign = isetval.load_campaign(folder)
     found = isetval.diagnose(model, campaign, with_next_captures=False, say=say)

@@ -11,6 +11,8 @@ from isetval.app.cli.console import Console
 from isetval.app.cli.loop_commands import default_jobs, load_both, positive
 from isetval.app.cli.outcome import BAD_INPUT, FINE, Outcome
 
+CHALLENGE_KINDS = ("null", "single", "pair", "form", "outsider")  # as in isetval.app.challenge, which takes time to import
+
 
 def register_demo(commands: Any, common: argparse.ArgumentParser) -> None:
     """``isetval demo``."""
@@ -35,11 +37,16 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     actions = commands.add_parser("challenge", help="sealed hidden effects: make, reveal").add_subparsers(
         metavar="ACTION", required=True
     )
-    p = actions.add_parser("make", parents=[common], help="shoot a plan with hidden effects", description=challenge_make.__doc__)
+    p = actions.add_parser(
+        "make",
+        parents=[common],
+        help="shoot a plan with hidden effects, by other code than the catalogue",
+        description=challenge_make.__doc__,
+    )
     p.add_argument("model", metavar="MODEL", help="the nominal model, which the solver knows")
     p.add_argument("plan", metavar="PLAN")
     p.add_argument("--truth", type=Path, help="where the truth goes (default: DIR.truth.json); another party keeps it")
-    p.add_argument("--kind", choices=("null", "single", "pair"), help="how many effects (default: drawn)")
+    p.add_argument("--kind", choices=CHALLENGE_KINDS, help="what is hidden (default: drawn)")
     p.add_argument("--seed", type=int, help="for tests; by default nobody knows it")
     p.set_defaults(handler=challenge_make, writes_result=False)
     p = actions.add_parser(
@@ -82,7 +89,7 @@ def demo(args: argparse.Namespace, console: Console) -> Outcome:
 
 
 def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
-    """Shoot a plan with none, one or two effects hidden in the model, and seal which: the folder holds a SHA-256 of the truth."""
+    """Shoot a plan with a second, independent camera that hides effects or none, and seal which by a SHA-256 of the truth."""
     from isetval.app.challenge import make_challenge
     from isetval.core.errors import InputError
 

@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
+from .types import Codes
+
 SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 10: 8}
 IDENTITY_MATRIX = (1, 0, 0, 0, 1, 0, 0, 0, 1)
 
 
-def _rational(value):
+def _rational(value: float | Fraction) -> bytes:
     fraction = Fraction(value).limit_denominator(10_000_000)
     return struct.pack("<II", fraction.numerator, fraction.denominator)
 
 
-def _signed(values):
+def _signed(values: Iterable[float]) -> bytes:
     return b"".join(struct.pack("<ii", int(v), 1) for v in values)
 
 
-def _short(*values):
+def _short(*values: int) -> bytes:
     return struct.pack(f"<{len(values)}H", *values)
 
 
-def _long(*values):
+def _long(*values: int) -> bytes:
     return struct.pack(f"<{len(values)}I", *values)
 
 
-def _text(value):
+def _text(value: str) -> bytes:
     return value.encode("ascii") + b"\0"
 
 
-def _directory(entries, offset):
+def _directory(entries: Iterable[tuple[int, int, bytes]], offset: int) -> bytes:
     """One image file directory at ``offset``: its bytes, data that does not fit behind it."""
     entries = sorted(entries)
     head = struct.pack("<H", len(entries))
@@ -50,7 +53,18 @@ def _directory(entries, offset):
     return head + b"\0\0\0\0" + tail
 
 
-def write_dng(path, codes, *, phase, black, white, time_s, pixel_um, iso=100, taken=None):
+def write_dng(
+    path: Path,
+    codes: Codes,
+    *,
+    phase: Sequence[int],
+    black: float,
+    white: int,
+    time_s: float,
+    pixel_um: float,
+    iso: int = 100,
+    taken: str | None = None,
+) -> None:
     """Write ``codes`` (rows, cols) uint16; ``phase`` is the colour of the four first pixels, row by row, as 0 R, 1 G, 2 B.
 
     ``taken`` is the date and time, "YYYY:MM:DD HH:MM:SS"; by default the file states none.
@@ -65,7 +79,7 @@ def write_dng(path, codes, *, phase, black, white, time_s, pixel_um, iso=100, ta
         (41488, 3, _short(3)),
     ]
 
-    def main(strip_at, exif_at):
+    def main(strip_at: int, exif_at: int) -> list[tuple[int, int, bytes]]:
         return [
             (254, 4, _long(0)), (256, 4, _long(cols)), (257, 4, _long(rows)), (258, 3, _short(16)), (259, 3, _short(1)),
             (262, 3, _short(32803)), (271, 2, _text("Foreign")), (272, 2, _text("second camera")), (273, 4, _long(strip_at)),

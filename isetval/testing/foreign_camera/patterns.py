@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import hashlib
 from functools import lru_cache
 
 import numpy as np
 
+from .types import Float, Generator, Window
+
 TILE = 64
 
 
+def stream(seed: int, *labels: str) -> Generator:
+    """A random stream that belongs to a seed and to words."""
+    words = [int.from_bytes(hashlib.sha256(label.encode()).digest()[:4], "little") for label in labels]
+    return np.random.default_rng([seed, *words])
+
+
 @lru_cache(maxsize=4096)
-def _tile(specimen, kind, row, col):
+def _tile(specimen: int, kind: int, row: int, col: int) -> Float:
     return np.random.default_rng([specimen, kind, row, col]).standard_normal((TILE, TILE))
 
 
-def fixed_stream(specimen, kind):
+def fixed_stream(specimen: int, kind: int) -> Generator:
     """A stream of the specimen as a whole."""
     return np.random.default_rng([specimen, kind])
 
 
-def fixed_normals(specimen, kind, window):
+def fixed_normals(specimen: int, kind: int, window: Window) -> Float:
     """Unit normals that belong to the pixels of a window, (rows, cols)."""
     row0, col0, rows, cols = window
     tiles = [

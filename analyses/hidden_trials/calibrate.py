@@ -1,0 +1,99 @@
+"""How many sigmas an effect of the foreign camera stands out by, in a plan, behind the laboratory's unknowns.
+
+Three specimens are shot with the effect and without; the difference of all metrics, whitened and with the directions of
+the nuisances taken out, is multiplied with that of another specimen: noise, which is not the same in both, drops out.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+import isetval
+from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.prediction import Point
+from isetval.loop.prepared import prepare
+from isetval.loop.score_test import make_frame
+from isetval.measure.campaign import measure_campaign
+from isetval.testing.foreign_camera.camera_file import nominal_camera
+from isetval.testing.foreign_camera.campaign import in_setting, write_campaign
+from isetval.testing.foreign_camera.strengths import ALL, STRENGTHS, visible
+
+SEEDS = (71, 72, 73)  # of specimens that no trial uses
+WANTED = (10.0, 50.0)  # sigmas: above the noise of the products (about 4), below the bends of most metrics
+AIM = 20.0  # sigmas at which s is measured, where practice lies outside: near the trials' own strengths
+FAINT = 6.0  # sigmas below which nothing is measured but noise
+ROUNDS = 4
+
+
+class Calibration:
+    """A plan as the nominal camera shoots it, and what the nuisances can do in it."""
+
+    def __init__(self, nominal_folder, plan, lens):
+        self.nominal, self.plan, self.lens = Path(nominal_folder), plan, lens
+        self.folder = tempfile.TemporaryDirectory()
+        self.camera = in_setting(nominal_camera(self.nominal / "camera.toml"), lens)
+        first = self._shot("null_0", None, SEEDS[0])
+        model = isetval.load_model(Path(first.folder) / "camera.toml")
+        self.prepared = prepare(model, first)
+        problem = self.prepared.problem
+        self.problem = problem
+        self.frame = make_frame(fit(problem, Point(model), nuisance_parameters(problem.plan, model)))
+        self.null = [self._values(self._shot(f"null_{seed}", None, seed)) for seed in SEEDS]
+
+    def _shot(self, name, hidden, seed):
+        where = Path(self.folder.name) / name
+        write_campaign(
+            where, self.nominal, seed=seed, hidden=hidden, kind=self.plan, lens=self.lens, sessions=("A",), draw=False
+        )  # fmt: skip
+        return isetval.load_campaign(where)
+
+    def _values(self, campaign):
+        """Values in the order of the first campaign's metrics; nan where one cannot be measured."""
+        table = measure_campaign(campaign, summaries=False)
+        found = {m.key(): v for m, v in zip(table.metrics, table.values, strict=True)}
+        return np.array([found.get(m.key(), np.nan) for m in self.prepared.table.metrics])
+
+    def sigmas(self, concealed, strength):
+        """s of the effect at a strength: root of the mean product of two specimens' profiled differences."""
+        hidden = {concealed.key: concealed.parameters(strength, self.camera)}
+        parts = []
+        for seed, null in zip(SEEDS, self.null, strict=True):
+            values = self._values(self._shot(f"{concealed.key}_{strength:.6g}_{seed}", hidden, seed))
+            white = self.problem.whitened(np.nan_to_num(values - null))
+            parts.append(self.frame.profiled(white[:, None])[:, 0])
+        products = [float(a @ b) for a, b in combinations(parts, 2)]
+        return math.sqrt(max(float(np.mean(products)), 0.0))
+
+
+def s_at_one(calibration, concealed):
+    """s at strength 1 by the power law, measured at a strength that stands out clearly."""
+    strength = 1.0
+    for _ in range(ROUNDS):
+        s = calibration.sigmas(concealed, strength)
+        if not concealed.scaled:
+            return s
+        if WANTED[0] <= s <= WANTED[1]:
+            break
+        step = AIM / max(s, AIM / 5)
+        strength *= max(step, 0.1) ** (1 / concealed.power)
+    return s / strength**concealed.power if s > FAINT else 0.0
+
+
+def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print):
+    """Measure s at strength 1 of all that shows in a plan; writes after each, so that a killed run loses one."""
+    known = json.loads(Path(path).read_text(encoding="utf-8")) if Path(path).is_file() else {}
+    own = known.setdefault(f"{plan}/{lens}", {})
+    wanted = [c for c in ALL.values() if visible(c, plan) and (c.key in names or (not names and c.key not in own))]
+    if not wanted:
+        return
+    calibration = Calibration(nominal_folder, plan, lens)
+    for concealed in wanted:
+        own[concealed.key] = round(s_at_one(calibration, concealed), 3)
+        say(f"{plan}/{lens} {concealed.key}: s {own[concealed.key]:.2f} at the strength of practice")
+        Path(path).write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")

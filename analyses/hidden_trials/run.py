@@ -1,0 +1,99 @@
+"""One trial in a process of its own: campaign written, ``isetval`` asked by its public interface, the answer written down.
+
+``python -m hidden_trials.run TRIAL.json FOLDER ANSWER.json`` from the folder ``analyses``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from hidden_trials.draw import NOMINAL
+
+HERE = Path(__file__).resolve().parents[1]
+
+
+def run(trial, *, limit_s, folder=None, with_oracle=True):
+    """The row of a trial: its description, the answer, CPU and wall seconds; an answer that did not come says why."""
+    with tempfile.TemporaryDirectory() as scratch:
+        where = Path(folder) / trial.id if folder else Path(scratch) / "campaign"
+        said, answer = Path(scratch) / "trial.json", Path(scratch) / "answer.json"
+        said.write_text(json.dumps(trial.row() | {"with_oracle": with_oracle}), encoding="utf-8")
+        words = [sys.executable, "-m", "hidden_trials.run", str(said), str(where), str(answer)]
+        path = os.pathsep.join([str(HERE), str(HERE.parent), os.environ.get("PYTHONPATH", "")])
+        start, before = time.perf_counter(), os.times().children_user
+        try:
+            done = subprocess.run(
+                words, timeout=limit_s, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}, check=False
+            )
+            error = None if done.returncode == 0 else done.stderr.strip().splitlines()[-1][:400]
+        except subprocess.TimeoutExpired:
+            error = f"not done within {limit_s:g} s"
+        row = trial.row() | {"wall_s": round(time.perf_counter() - start, 1)}
+        row["cpu_s"] = round(os.times().children_user - before, 1)
+        found = json.loads(answer.read_text(encoding="utf-8")) if answer.is_file() else None
+        return row | {"error": error, "answer": found}
+
+
+def main(words):
+    """Write, diagnose, compare with the oracle; each part is written down as soon as it is there."""
+    import isetval
+    from isetval.testing.foreign_camera.campaign import write_campaign
+
+    told, where, answer = json.loads(Path(words[0]).read_text(encoding="utf-8")), Path(words[1]), Path(words[2])
+    if not (where / "campaign.toml").is_file():
+        write_campaign(
+            where, NOMINAL, seed=told["seed"], hidden=told["hidden"], kind=told["plan"], lens=told["lens"],
+            other_specimen=told["other_specimen"],
+        )  # fmt: skip
+    model, campaign = isetval.load_model(where / "camera.toml"), isetval.load_campaign(where)
+    start = time.process_time()
+    found = isetval.diagnose(model, campaign, with_next_captures=False)
+    out = _short(found.to_json()) | {"diagnose_cpu_s": round(time.process_time() - start, 1)}
+    answer.write_text(json.dumps(out), encoding="utf-8")
+    true = oracle(told, model) if told["with_oracle"] else None
+    if true is not None:
+        rows = isetval.compare([model, true], campaign.session("B")).ladder
+        out["oracle"] = [vars(row) for row in rows if row.model == "oracle"]
+        answer.write_text(json.dumps(out), encoding="utf-8")
+
+
+def _short(content):
+    """What is judged and shown of a diagnosis."""
+    candidates = sorted(content["candidates"], key=lambda row: -(row["dchi2"] or 0))[:8]
+    kept = ("name", "dchi2", "dof", "p_corrected", "posterior", "log_evidence")
+    return {
+        "verdict": content["verdict"],
+        "effects": content["effects"],
+        "leftover": content["leftover"],
+        "gate": content["gate"],
+        "holdout": content["holdout"],
+        "ladder": content["ladder"],
+        "notes": content["notes"],
+        "unobservable": content["unobservable"],
+        "candidates": [{key: row.get(key) for key in kept} for row in candidates],
+    }
+
+
+def oracle(told, model):
+    """The nominal model with the true effects at their true values, or None where the catalogue has no such numbers."""
+    from dataclasses import replace
+
+    from isetval.effects import catalogue
+
+    truths = told["truths"]
+    if not truths or not all(truth["values"] for truth in truths):
+        return None
+    for truth in truths:
+        effect = model.effect(truth["name"]) or catalogue()[truth["name"]]()
+        model = model.with_effect(effect.changed(**truth["values"]))
+    return replace(model, name="oracle")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
