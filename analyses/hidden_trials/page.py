@@ -19,7 +19,7 @@ def write_page(found, path):
     parts = [
         f"<h1>Hidden effects: {found['n']} trials</h1>",
         f"<p>{escape(', '.join(found['sets']))}; isetval {found['isetval']}, {found['date']}. Campaigns are shot by a camera "
-        "that shares no code with isetval (<code>isetval.testing.foreign_camera</code>); a trial without answer in time counts as "
+        "that shares no code with isetval (<code>isetval.testing.foreign_camera</code>); no answer in time counts as "
         "wrong. Intervals are Wilson's 95 %.</p>",
         _targets(found),
         "<h2>Power</h2>", _svg(_power, found), "<h2>Is the stated posterior true?</h2>", _svg(_reliability, found),
@@ -70,7 +70,7 @@ def _targets(found):
     cpu = found["cpu_s"]
     return (
         _table(("quantity", "target", "measured", "95 % interval", "n"), rows)
-        + f'<p class="small">{escape(outcomes)}. CPU {cpu["median"]:.0f} s a trial, median; {cpu["total"] / 3600:.2f} h in all.</p>'
+        + f'<p class="small">{escape(outcomes)}. CPU {cpu["median"]:.0f} s a trial, {cpu["total"] / 3600:.2f} h in all.</p>'
     )
 
 

@@ -42,14 +42,18 @@ def targets(rows):
     def at(found, level):
         return [r for r in found if r[0]["level"] == level]
 
+    def extra(r):
+        return r[1]["extra"]
+
+    def unflagged(r):
+        return r[1]["outcome"] == UNFLAGGED
+
     def seen(found):
         return [r for r in found if r[1].get("detected")]
 
     single, pair, form, outsider = (of(k) for k in ("single", "pair", "form", "outsider"))
     strong = [r for r in single if r[0]["level"] in (8.0, 15.0)]
     first, faint = (lambda r: r[1].get("first_right")), (lambda r: bool(r[1].get("named")) and not r[1]["first_right"])
-    extra = lambda r: r[1]["extra"]
-    unflagged = lambda r: r[1]["outcome"] == UNFLAGGED
     practice = at(single, "practice")
     loud = [r for r in practice if (r[0]["expected_s"][0] or 0) >= 8]
     out_strong = [r for r in outsider if r[0]["level"] != "practice" or (r[0]["expected_s"][0] or 0) >= 8]

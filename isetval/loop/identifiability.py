@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,9 +14,8 @@ from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign
 from isetval.core.shown import Drawn
 from isetval.loop.candidates import candidates_for, signatures
-from isetval.loop.evidence import smallest_detectable
 from isetval.loop.fit import fit, nuisance_parameters
-from isetval.loop.next_captures import next_captures
+from isetval.loop.next_captures import KEEP, next_captures
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 from isetval.loop.result import NextCapture
@@ -28,17 +27,23 @@ if TYPE_CHECKING:
 Float = NDArray[np.float64]
 CLOSE = 0.7  # cosine of a pair that is listed: above it half of one's chi2 is explained by the other
 MAX_PAIRS = 8  # pairs for which further captures are searched: each costs as much as a short campaign
+FALSE_ALARMS = 0.01  # in a true model, all candidates together: the detective's own level
+POWERS = (0.5, 0.95)
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """How well a parameter would be known: standard deviation, smallest strength found with 95 % power, prior scale."""
+    """How well a parameter would be known: standard deviation, prior scale, strengths found with 50 and 95 % power.
+
+    Both strengths are of this parameter alone, the effect's others at nothing.
+    """
 
     effect: str
     parameter: str
     unit: str
     sigma: float
     smallest_detectable: float | None
+    half_detectable: float | None
     tau: float
     observable: bool
 
@@ -51,6 +56,7 @@ class Identifiability(Drawn):
     unobservable: tuple[str, ...]
     pairs: tuple[tuple[str, str, float], ...]
     next_captures: tuple[NextCapture, ...]
+    next_of_pair: Mapping[tuple[str, str], NextCapture] = field(default_factory=dict)
 
     def headline(self) -> str:
         """How many parameters are seen, what is not."""
@@ -58,7 +64,7 @@ class Identifiability(Drawn):
         return f"{seen} of {len(self.parameters)} parameters seen, {hidden} effects not, {len(self.pairs)} close pairs"
 
     def to_frame(self) -> pd.DataFrame:
-        """One row a parameter: effect, parameter, unit, sigma, smallest_detectable, tau, observable."""
+        """One row a parameter: effect, parameter, unit, sigma, smallest_detectable, half_detectable, tau, observable."""
         import pandas as pd
 
         return pd.DataFrame([vars(p) for p in self.parameters], columns=list(Detectability.__dataclass_fields__))
@@ -68,9 +74,14 @@ class Identifiability(Drawn):
         return {
             "parameters": [vars(p) for p in self.parameters],
             "unobservable": list(self.unobservable),
-            "pairs": [{"effects": [a, b], "rho": rho} for a, b, rho in self.pairs],
+            "pairs": [{"effects": [a, b], "rho": rho, "next": self._next_json(a, b)} for a, b, rho in self.pairs],
             "next_captures": [vars(c) | {"separates": list(c.separates)} for c in self.next_captures],
         }
+
+    def _next_json(self, a: str, b: str) -> dict[str, Any] | None:
+        """The capture that separates a pair best; None where none that was tried does, or none was searched."""
+        found = self.next_of_pair.get((a, b))
+        return None if found is None else {"capture": found.capture, "rho_after": found.rho_after}
 
 
 def identify(
@@ -106,16 +117,33 @@ def identify(
             seen = bool(found.rank and np.any(found.sigma < c.tau))
             if not seen:
                 hidden.append(c.name)
-            for p, sigma in zip(c.parameters, found.sigma, strict=True):
-                smallest = smallest_detectable(found) if len(c.parameters) == 1 else None
-                rows.append(Detectability(c.name, p.name, p.unit, float(sigma), smallest, float(p.tau or 0), seen))
+            sigmas = noncentralities(found.rank, len(made), one_sided=c.one_sided)
+            lengths = np.linalg.norm(frame.profiled(white[c.name]), axis=0)
+            for p, sigma, length in zip(c.parameters, found.sigma, lengths, strict=True):
+                half, nearly = (float(s / length) if length > 0 and found.rank else None for s in sigmas)
+                rows.append(Detectability(c.name, p.name, p.unit, float(sigma), nearly, half, float(p.tau or 0), seen))
         names = [n for n in white if n not in hidden]
         pairs = [(a, b, cosine(frame, white[a], white[b])) for i, a in enumerate(names) for b in names[i + 1 :]]
         pairs = sorted((p for p in pairs if p[2] > CLOSE), key=lambda p: p[2], reverse=True)
         by_name = {s.candidate.name: s for s in made}
         close = [(by_name[a], by_name[b]) for a, b, _ in pairs[:MAX_PAIRS]]
-        captures = tuple(next_captures(problem, fitted, close)) if with_next_captures else ()
-        return Identifiability(tuple(rows), tuple(hidden), tuple(pairs), captures)
+        captures = next_captures(problem, fitted, close, keep=None) if with_next_captures else []
+        best = {pair: next(c for c in captures if c.separates == pair) for pair in dict.fromkeys(c.separates for c in captures)}
+        return Identifiability(tuple(rows), tuple(hidden), tuple(pairs), tuple(captures[:KEEP]), best)
+
+
+def noncentralities(rank: int, tests: int, *, one_sided: bool = False) -> tuple[float, ...]:
+    """Significances s at which an effect of ``rank`` visible parameters is found with 50 and 95 % power.
+
+    The score is chi2 of ``rank`` degrees of freedom, non-central by s^2; `FALSE_ALARMS` is shared out evenly between
+    ``tests`` candidates (Bonferroni), and a single parameter that can only grow is tested on its side only.
+    """
+    from scipy.optimize import brentq
+    from scipy.stats import chi2, ncx2
+
+    level = FALSE_ALARMS / tests * (2 if one_sided and rank == 1 else 1)
+    limit = float(chi2.isf(level, max(rank, 1)))
+    return tuple(float(brentq(lambda s, p=power: ncx2.sf(limit, max(rank, 1), s * s) - p, 1e-3, 60.0)) for power in POWERS)
 
 
 def _shot(model: CameraModel, plan: Campaign, seed: int) -> Campaign:

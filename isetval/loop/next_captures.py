@@ -128,8 +128,10 @@ def _plan(plan: Campaign, shots: Sequence[Shot], label: str, *, setup: str | Non
     return replace(plan.as_plan(), shots=tuple(new), folder=None)
 
 
-def next_captures(problem: Problem, fitted: Fit, pairs: Sequence[tuple[Signature, Signature]]) -> list[NextCapture]:
-    """The proposals that lower the cosine of the given pairs most."""
+def next_captures(
+    problem: Problem, fitted: Fit, pairs: Sequence[tuple[Signature, Signature]], *, keep: int | None = KEEP
+) -> list[NextCapture]:
+    """The ``keep`` proposals that lower the cosine of the given pairs most (None: all that lower one), best first."""
     if not pairs:
         return []
     nominal = problem.nominal
@@ -152,7 +154,7 @@ def next_captures(problem: Problem, fitted: Fit, pairs: Sequence[tuple[Signature
             if before[names] - after > WORTH:
                 out.append(NextCapture(label, names, before[names], after))
     out.sort(key=lambda c: c.rho_before**2 - c.rho_after**2, reverse=True)
-    return out[:KEEP]
+    return out[:keep]
 
 
 def _extra(problem: Problem, plan: Campaign, start: Point) -> Problem:

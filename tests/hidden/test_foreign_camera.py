@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_camera.truths import EFFECTS, OUTSIDERS, TRIALS
+from foreign_camera.truths import EFFECTS, FORMS, OUTSIDERS, TRIALS
 
 import isetval
 from isetval.camera.chain import ShotSetup, mean_electrons
@@ -142,7 +142,7 @@ def test_both_cameras_agree_pixel_by_pixel(lens, tmp_path):
 
 def test_trials_name_effects_of_the_catalogue_and_strangers():
     names = set(catalogue())
-    for trial in EFFECTS:
+    for trial in EFFECTS + FORMS:
         assert trial.effect in names
         assert set(trial.values) <= set(catalogue()[trial.effect]().values())
         assert set(trial.also) <= names

@@ -86,17 +86,30 @@ def _worst_lines(result: Mapping[str, Any], count: int = 8) -> list[str]:
 def identify_lines(result: Mapping[str, Any]) -> list[str]:
     """Detectable parameters, hidden effects, close pairs, captures that would help."""
     body = [
-        (p["effect"], p["parameter"], f"{p['sigma']:.3g}", _or_dash(p["smallest_detectable"]), f"{p['tau']:.3g}", p["unit"])
+        (
+            p["effect"],
+            p["parameter"],
+            f"{p['sigma']:.3g}",
+            _or_dash(p["half_detectable"]),
+            _or_dash(p["smallest_detectable"]),
+            f"{p['tau']:.3g}",
+            p["unit"],
+        )
         for p in result["parameters"]
         if p["observable"] and p["sigma"] is not None
     ]
-    lines = ["# effects that this plan would show (sigma of each parameter, smallest strength found with 95 % power)"]
-    lines += text_table(("effect", "parameter", "sigma", "smallest", "plausible", "unit"), body)
+    lines = ["# effects that this plan would show (sigma of each parameter, strengths found with 50 and 95 % power)"]
+    lines += text_table(("effect", "parameter", "sigma", "50 %", "95 %", "plausible", "unit"), body)
     lines += ["", f"not observable with this plan: {', '.join(result['unobservable']) or 'none'}"]
     if result["pairs"]:
         lines += ["", "# pairs that are hard to tell apart (cosine rho of their signatures)"]
-        lines += text_table(("effect", "effect", "rho"), [(*p["effects"], f"{p['rho']:.3f}") for p in result["pairs"][:12]])
+        rows = [(*p["effects"], f"{p['rho']:.3f}", *_next_words(p.get("next"))) for p in result["pairs"][:12]]
+        lines += text_table(("effect", "effect", "rho", "then", "next capture"), rows)
     return lines + next_lines(result["next_captures"])
+
+
+def _next_words(found: Mapping[str, Any] | None) -> tuple[str, str]:
+    return ("-", "none of those tried") if found is None else (f"{found['rho_after']:.3f}", found["capture"])
 
 
 def _or_dash(value: float | None) -> str:

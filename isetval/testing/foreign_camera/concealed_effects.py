@@ -252,4 +252,13 @@ EFFECTS = (
     _effect("fluorescence", {"share": 0.05}, "brightened paper", seen=CHARTS),
     _effect("spd_mismatch", {"warmer": 0.02}, "a lamp 100 K off", seen=CHARTS),
     _effect("ir_leak", {"eps": 0.01}, "an infrared filter that lets 1 % through", seen=CHARTS),
+    _effect(
+        "inter_pixel_capacitance",
+        {"share": 0.003},
+        "0.3 % to each neighbor",
+        name="interpixel_capacitance",
+        values=_same(alpha="share"),
+    ),
+    _effect("alternating_columns", {"share": 0.0008}, OWN, values=lambda p, c: {"gain": p["share"], "offset_dn": 0.0}),
+    _effect("amplifier_crosstalk", {"share": 0.003}, OWN, values=_same(share="share")),
 )

@@ -43,6 +43,12 @@ FORMS = (
     _form("shutter_bounce", "exposure_time", {"late_s": 1e-5}, "smaller for long exposures"),
     _form("spectral_line", "spd_mismatch", {"height": 0.1}, "a line at 611 nm", seen=CHARTS, fixed={"nm": 611.0}),
     _form("curvature_fourth", "field_curvature", {"sag_um": 5.0}, "fourth power of the radius", seen=EDGES),
+    _form("dust", "dust", {"loss": 0.008}, "three grains", seen=FIELD, fixed={"points": (2, 6, 9)}),
+    _form("column_group_gain", "alternating_columns", {"share": 0.0008}, "groups of eight", also=("column_fpn",)),
+    _form(
+        "slow_row_drift", "correlated_row_noise", {"sigma_dn": 0.05}, "AR(1)", seen=DARK, power=2, also=("temporal_row_noise",)
+    ),
+    _form("particle_hits", "transient_hits", {"per_frame": 1.0}, "at any exposure", seen=DARK),
 )
 
 
@@ -51,18 +57,16 @@ def _outsider(key: str, amplitude: Mapping[str, Any], practice: str, **more: Any
 
 
 OUTSIDERS = (
-    _outsider("dust", {"loss": 0.008}, OWN, seen=FIELD, fixed={"points": (2, 6, 9)}, also=("dust", "dust_shadow")),
-    _outsider("column_group_gain", {"share": 0.0008}, OWN, also=("column_gain", "alternating_columns", "column_pair_gain")),
     _outsider("light_leak", {"e_per_s": 600.0}, OWN, seen=FIELD, fixed={"x": -0.45, "y": 0.4}),
     _outsider("stitched_half", {"share": 0.003}, OWN, seen=FIELD),
     _outsider("diagonal_hatch", {"share": 0.004}, OWN),
     _outsider("shutter_travel", {"last_row_late_s": 2e-5}, OWN, seen=FIELD),
-    _outsider("row_bands", {"depth": 0.003}, OWN, also=("rolling_shutter_flicker", "rolling_flicker")),
+    _outsider("row_bands", {"depth": 0.003}, OWN, also=("rolling_flicker",)),
     _outsider("warming_lamp", {"first": 0.005}, OWN, also=("lamp_drift",)),
-    _outsider("inter_pixel_capacitance", {"share": 0.003}, "0.3 % to each neighbour", also=("inter_pixel_capacitance",)),
-    _outsider("slow_row_drift", {"sigma_dn": 0.05}, OWN, seen=DARK, power=2, also=("correlated_row_noise", "temporal_row_noise")),
-    _outsider("particle_hits", {"per_frame": 1.0}, OWN, seen=DARK, also=("transient_hits", "cosmic_rays", "particle_hits")),
-    _outsider("settling_rows", {"share": 0.001}, OWN),
+    _outsider("settling_rows", {"share": 0.001}, OWN, also=("amplifier_crosstalk",)),
     _outsider("missing_codes", {"every": 8}, OWN, seen=DARK, scaled=False),
     _outsider("faded_patch", {"loss": 0.006}, OWN, seen=CHARTS, fixed={"patch": "orange"}),
+    _outsider("row_group_gain", {"share": 0.001}, OWN),
+    _outsider("smear", {"share": 0.002}, OWN),
+    _outsider("sharpened", {"weight": 0.04}, OWN, also=("raw_filtering",)),
 )

@@ -115,3 +115,16 @@ def gain_knee(charge: Float, camera: Camera, place: Place, rng: Generator, *, sl
     width = knee_e / 20
     above = width * np.logaddexp(0, (charge - knee_e) / width)
     return np.asarray(charge + slope * above)
+
+
+@at("voltage", "alternating_columns")
+def alternating_columns(charge: Float, camera: Camera, place: Place, rng: Generator, *, share: float) -> Float:
+    """Two rows of converters, above and below the sensor, each for every other column."""
+    odd = (place.window[1] + np.arange(charge.shape[1])[None]) % 2
+    return np.asarray(charge * np.where(odd == 1, 1 + share, 1 - share))
+
+
+@at("voltage", "amplifier_crosstalk")
+def amplifier_crosstalk(charge: Float, camera: Camera, place: Place, rng: Generator, *, share: float) -> Float:
+    """One amplifier reads pixel after pixel and has not quite left the one before: a first-order lag along the row."""
+    return np.concatenate([charge[:, :1], (1 - share) * charge[:, 1:] + share * charge[:, :-1]], axis=1)

@@ -124,3 +124,24 @@ def settling_rows(signal: Float, camera: Camera, place: Place, rng: Generator, *
     """The output of a row has not quite left the one before: a part of each row's mean comes with the next."""
     before = np.concatenate([signal[:1].mean(axis=1), signal[:-1].mean(axis=1)])
     return np.asarray(signal + share * before[:, None] * stream(camera.specimen, "settling").uniform(0.5, 1.5))
+
+
+@at("voltage", "row_group_gain")
+def row_group_gain(charge: Float, camera: Camera, place: Place, rng: Generator, *, share: float) -> Float:
+    """Rows are read in turns of sixteen by amplifiers that warm up: the first four of each turn amplify more."""
+    first = (place.window[0] + np.arange(charge.shape[0])[:, None]) % 16 < 4
+    return np.asarray(charge * (1 + share * first))
+
+
+@at("collect", "smear")
+def smear(charge: Float, camera: Camera, place: Place, rng: Generator, *, share: float) -> Float:
+    """Light that falls on the columns' transport: each pixel gets a share of all that its column collects, with its noise."""
+    extra = share * charge.sum(axis=0, keepdims=True) / 96
+    return rng.poisson(charge + extra).astype(float)
+
+
+@at("file", "sharpened")
+def sharpened(codes: Float, camera: Camera, place: Place, rng: Generator, *, weight: float) -> Float:
+    """A "raw" that has been sharpened along rows within each color: noise of neighbors goes against each other."""
+    padded = np.pad(codes, [(0, 0), (2, 2)], mode="symmetric")
+    return np.asarray((1 + 2 * weight) * codes - weight * (padded[:, :-4] + padded[:, 4:]))
