@@ -100,6 +100,9 @@ def _run(options):
         print(line(row), flush=True)
 
     options.rows.parent.mkdir(parents=True, exist_ok=True)
+    if options.rows.is_file() and not options.rows.read_bytes().endswith(b"\n"):
+        with options.rows.open("a", encoding="utf-8") as file:
+            file.write("\n")  # ends the line that a killed run left half written
     with ThreadPoolExecutor(options.jobs) as pool:
         list(pool.map(one, left))
 

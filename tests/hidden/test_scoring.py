@@ -1,0 +1,118 @@
+"""How trials are drawn, judged, summed up and taken up again after a stop."""
+
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ANALYSES = Path(__file__).resolve().parents[2] / "analyses"
+sys.path.insert(0, str(ANALYSES))
+
+import hidden_effects  # noqa: E402
+from hidden_trials import draw  # noqa: E402
+from hidden_trials.judge import judged  # noqa: E402
+from hidden_trials.summary import interval, summary, table_lines  # noqa: E402
+
+
+def test_five_hundred_trials_hold_what_the_issue_asks_for():
+    drawn = draw.trials(500, seeds="scoring", plan="small")
+    counts = Counter(t.kind for t in drawn)
+    assert counts == {"null": 150, "single": 200, "pair": 50, "form": 50, "outsider": 50}
+    assert Counter(t.level for t in drawn if t.kind == "single") == dict.fromkeys((3.0, 5.0, 8.0, 15.0, "practice"), 40)
+    assert len({t.seed for t in drawn}) == 500
+    assert {t.seed for t in drawn}.isdisjoint(t.seed for t in draw.trials(500, seeds="development", plan="small"))
+    assert {t.lens for t in drawn} == {"open", "stopped"}
+    # set strengths are those at which the effect stands out by so many sigmas
+    assert all(s == pytest.approx(t.level, abs=0.01) for t in drawn if isinstance(t.level, float) for s in t.expected_s)
+    assert all(len({tr["name"] for tr in t.truths}) == 2 for t in drawn if t.kind == "pair")
+
+
+def _row(kind, truths, verdict, effects, **more):
+    named = [
+        {"name": n, "posterior": p, "equivalent": list(same), "parameters": {"x": {"value": 3.0, "sigma": 0.5}}}
+        for n, p, same in effects
+    ]
+    answer = {"verdict": verdict, "effects": named, "candidates": [], "leftover": None, "ladder": []}
+    base = {"id": "t", "kind": kind, "level": 8.0, "hidden": {name: {} for name in truths}, "expected_s": [8.0] * len(truths)}
+    base |= {"lens": "open", "other_specimen": False, "cpu_s": 1.0, "error": None, "answer": answer}
+    return base | {"truths": [{"name": n, "also": ["b2"] if n == "b" else [], "values": {"x": 2.0}} for n in truths]} | more
+
+
+@pytest.mark.parametrize(
+    ("kind", "truths", "verdict", "effects", "outcome", "right"),
+    [
+        ("null", [], "consistent", [], "consistent", True),
+        ("null", [], "attributed", [("a", 0.98, ())], "named", False),
+        ("null", [], "unexplained", [], "flagged", False),
+        ("single", ["a"], "attributed", [("a", 0.98, ())], "right", True),
+        ("single", ["a"], "ambiguous", [("c", 0.6, ("a",))], "right", True),
+        ("single", ["b"], "attributed", [("b2", 0.9, ())], "right", True),
+        ("single", ["a"], "attributed", [("c", 0.98, ())], "named wrongly", False),
+        ("single", ["a"], "attributed", [("a", 0.98, ()), ("c", 0.9, ())], "right and more", False),
+        ("single", ["a"], "consistent", [], "not seen", False),
+        ("single", ["a"], "unexplained", [], "flagged without a name", False),
+        ("pair", ["a", "b"], "attributed", [("b", 0.9, ()), ("a", 0.9, ())], "right", True),
+        ("pair", ["a", "b"], "attributed", [("b", 0.9, ())], "one of two", False),
+        ("outsider", [""], "partial", [("c", 0.9, ())], "flagged", True),
+        ("outsider", [""], "attributed", [("c", 0.9, ())], "named without a flag", False),
+        ("outsider", [""], "consistent", [], "not seen", False),
+    ],
+)
+def test_answers_are_held_against_the_truth(kind, truths, verdict, effects, outcome, right):
+    found = judged(_row(kind, truths, verdict, effects))
+    assert (found["outcome"], found["right"]) == (outcome, right)
+
+
+def test_an_answer_that_did_not_come_is_wrong_and_says_why():
+    row = _row("single", ["a"], "attributed", []) | {"answer": None, "error": "not done within 3 s"}
+    assert not judged(row)["right"]
+    assert judged(row)["why"] == "not done within 3 s"
+    found = summary([(row, judged(row))])
+    detection = next(t for t in found["targets"] if t["what"] == "detection at s = 8")
+    assert (detection["k"], detection["n"]) == (0, 1)
+
+
+def test_pulls_are_of_effects_named_by_their_own_name():
+    found = judged(_row("single", ["a"], "attributed", [("a", 0.98, ())]))
+    assert found["pulls"] == {"a.x": pytest.approx((3.0 - 2.0) / 0.5)}
+    assert judged(_row("single", ["b"], "attributed", [("b2", 0.98, ())]))["pulls"] == {}
+
+
+def test_intervals_are_wilsons():
+    """Wilson 1927: none of n gives z^2/(n + z^2) as the upper end; halves are symmetric."""
+    assert interval(0, 150) == (0.0, pytest.approx(1.96**2 / (150 + 1.96**2)))
+    low, high = interval(10, 20)
+    assert low + high == pytest.approx(1.0)
+
+
+def test_sums_and_table_hold_all_kinds():
+    rows = [
+        _row("null", [], "consistent", []),
+        _row("single", ["a"], "attributed", [("a", 0.995, ())]),
+        _row("single", ["a"], "attributed", [("c", 0.97, ())]),
+    ]
+    found = summary([(r, judged(r)) for r in rows])
+    assert [b["share"] for b in found["reliability"]["bins"]] == [0.0, 1.0]
+    assert found["reliability"]["brier"] == pytest.approx((0.005**2 + 0.97**2) / 2)
+    assert {"hidden": "a", "said": "c", "n": 1} in found["confusion"]
+    assert [w["outcome"] for w in found["wrong"]] == ["named wrongly"]
+    assert any("false attribution on nulls" in line and "0.0 %" in line for line in table_lines(found))
+
+
+def test_a_run_is_taken_up_where_it_stopped(tmp_path, capsys):
+    """A trial over its time leaves a row that says so; the next run leaves done ones alone and passes over half a line."""
+    words = ["--n", "1", "--plan", "small", "--kinds", "null", "--seeds", "development", "--limit-s", "0.3"]
+    words += ["--rows", str(tmp_path / "rows.jsonl"), "--report", str(tmp_path / "page.html")]
+    assert hidden_effects.main(words) == 0
+    first = (tmp_path / "rows.jsonl").read_text()
+    assert json.loads(first)["error"] == "not done within 0.3 s"
+    with pytest.raises(SystemExit, match="--resume"):
+        hidden_effects.main(words)
+    (tmp_path / "rows.jsonl").write_text(first + '{"id": "half')
+    assert hidden_effects.main([*words, "--resume"]) == 0
+    assert "1 trials, 1 of them done" in capsys.readouterr().out
+    assert hidden_effects.main(["--table", "--report", str(tmp_path / "page.html")]) == 0
+    assert "nulls answered" in capsys.readouterr().out
+    assert "Every wrong answer" in (tmp_path / "page.html").read_text()
