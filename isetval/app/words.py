@@ -96,3 +96,9 @@ def relative_words(row: Mapping[str, Any]) -> str:
     """The rms relative error of a family in percent; empty where the measured values are noise around zero."""
     relative = row["rms_relative_error"]
     return "" if relative is None or relative > 0.6 else f"{100 * relative:.2f} %"
+
+
+def probability_words(chance: float, digits: int = 2) -> str:
+    """A probability to some digits; what would be rounded to 1 is told as above the last that is not."""
+    most = 1 - 0.5 * 10**-digits
+    return f"{chance:.{digits}f}" if chance < most else f"> {1 - 10**-digits:.{digits}f}"

@@ -127,7 +127,8 @@ class Effect:
     so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
     distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
-    one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays.  ``forms``
+    one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays; ``per_light``
+    that its field ``light`` names the one light it concerns (empty: all).  ``forms``
     are the shapes that it may have, by field: a diagnosis weighs them, and shape parameters with a ``tau``, once it is
     named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its null it must be the
     identity, unless it gives another unit than it acts on.
@@ -155,6 +156,7 @@ class Effect:
     free: ClassVar[FreeAxis | None] = None
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False
+    per_light: ClassVar[bool] = False
 
     source: str = ""
     fitted_to: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
+from isetval.core.campaign import Campaign
 from isetval.core.effect import Effect, ParameterInfo
 from isetval.core.parameter import Parameter
 from isetval.effects import catalogue
@@ -21,6 +22,9 @@ Float = NDArray[np.float64]
 STRONG = 80.0  # sigmas of a secant beyond which it is taken again closer to the null: the metrics bend before that
 WANTED = 50.0  # sigmas of the new secant: far above the noise of common random numbers, well inside the linear range
 LIKE_FOCUS = 0.9  # cosine above which a far focus asks for a secant of the same length as the focus's own
+WIDER = 10.0  # how much wider a wrong prior of the laboratory may be: an order of magnitude, a slip in a unit or a lamp moved
+BEYOND = 1000.0  # prior widths between a null and anything that a plan could reach
+ONSET = 0.01  # of a value, to which the place where an effect begins to show is found: well within its prior's width
 ALIGNMENTS = 3  # times; each brings the lengths together to a tenth
 
 
@@ -29,18 +33,25 @@ class Candidate:
     """An effect that may be missing, or whose parameters may be wrong.
 
     ``effect`` is the effect at its null (absent) or as it stands in the model (``present``);
-    ``parameters`` are those that are freed, ``nominal`` their values in the model.
+    ``parameters`` are those that are freed, ``nominal`` their values in the model.  Candidates of one effect are forms of one
+    class (``name`` says which): a hypothesis holds one of them, and ``prior_weight`` is a form's share of the class's odds.
     """
 
     name: str
     effect: Effect
     parameters: tuple[ParameterInfo, ...]
     present: bool
+    prior_weight: float = 1.0
 
     @property
     def keys(self) -> tuple[str, ...]:
         """``effect.parameter`` names."""
-        return tuple(f"{self.name}.{p.name}" for p in self.parameters)
+        return tuple(f"{self.klass}.{p.name}" for p in self.parameters)
+
+    @property
+    def klass(self) -> str:
+        """The effect's name: what it is called in results and model files, whatever its form."""
+        return self.effect.name
 
     @property
     def nominal(self) -> Float:
@@ -53,24 +64,65 @@ class Candidate:
         return np.array([p.tau or 1.0 for p in self.parameters])
 
     @property
-    def one_sided(self) -> bool:
-        """Whether its single parameter can only grow from where it stands."""
-        return len(self.parameters) == 1 and self.nominal[0] <= self.parameters[0].low
+    def only_side(self) -> float:
+        """The side of its single parameter, 0 where it has several."""
+        return float(self.side[0]) if len(self.parameters) == 1 else 0.0
+
+    @property
+    def side(self) -> Float:
+        """1 for parameters (k,) that can only grow from where they stand, -1 for those that can only fall, else 0."""
+        placed = zip(self.nominal, self.parameters, strict=True)
+        return np.array([float(n <= p.low) - float(n >= p.high) for n, p in placed])
+
+    @property
+    def draws_noise(self) -> bool:
+        """Whether it adds noise that is not there yet, so that metrics go as the square of its parameter."""
+        return self.effect.random != "none" and not self.effect.rare and bool(np.all(self.side == 1))
 
     def model_with(self, model: CameraModel) -> CameraModel:
         """The model in which the effect exists (at its null where it was absent)."""
-        return model if model.effect(self.name) is not None else model.add(self.effect)
+        return model if model.effect(self.klass) is not None else model.add(self.effect)
 
     def free(self, steps: Sequence[float]) -> tuple[Parameter, ...]:
         """Its parameters for a fit, with the catalogue's priors."""
         return tuple(
-            Parameter(p.name, self.name, unit=p.unit, prior=p.tau, step=float(step), center=float(value), low=p.low, high=p.high)
+            Parameter(p.name, self.klass, unit=p.unit, prior=p.tau, step=float(step), center=float(value), low=p.low, high=p.high)
             for p, step, value in zip(self.parameters, steps, self.nominal, strict=True)
         )
 
 
-def candidates_for(model: CameraModel) -> tuple[Candidate, ...]:
-    """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains."""
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """That the laboratory is wrong about one of its unknowns: its prior is `WIDER` times as wide as stated."""
+
+    parameter: Parameter
+
+    @property
+    def name(self) -> str:
+        """What is doubted."""
+        return f"prior of {self.parameter.label}"
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """It frees nothing of the camera."""
+        return ()
+
+    @property
+    def loosened(self) -> Parameter:
+        """The unknown with the wider prior."""
+        return replace(self.parameter, prior=float(np.hypot(1.0, WIDER)) * (self.parameter.prior or 1.0))
+
+
+def doubts_for(unknowns: Sequence[Parameter]) -> tuple[Doubt, ...]:
+    """What may be doubted: unknowns with a prior that are no parameter of the camera (those are candidates themselves)."""
+    return tuple(Doubt(f) for f in unknowns if f.prior is not None and not f.owner)
+
+
+def candidates_for(model: CameraModel, lights: Sequence[str] = ()) -> tuple[Candidate, ...]:
+    """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains.
+
+    Where several ``lights`` are used, an effect that may concern one of them only is a candidate for each, and for all.
+    """
     contained = {name for effect in model.effects for name in effect.replaces}
     chief_ray = any(effect.states_chief_ray() for effect in model.effects)
     out = []
@@ -88,8 +140,24 @@ def candidates_for(model: CameraModel) -> tuple[Candidate, ...]:
             continue
         effect = cls()
         nulls: dict[str, Any] = {p.name: p.null for p in parameters}
-        out.append(Candidate(name, replace(effect, **nulls), parameters, False))
+        absent = Candidate(name, replace(effect, **nulls), parameters, False)
+        out += _by_light(absent, lights) if cls.per_light and len(lights) > 1 else [absent]
     return tuple(out)
+
+
+def _by_light(candidate: Candidate, lights: Sequence[str]) -> list[Candidate]:
+    """The candidate for all lights and for each alone: forms of one class, which share its prior odds."""
+    share = 1 / (1 + len(lights))
+    alone = [
+        replace(candidate, name=f"{candidate.name} ({light})", effect=candidate.effect.changed(light=light), prior_weight=share)
+        for light in lights
+    ]
+    return [replace(candidate, prior_weight=share), *alone]
+
+
+def lights_of(plan: Campaign) -> tuple[str, ...]:
+    """Names of the lights that a plan uses, each once."""
+    return tuple(dict.fromkeys(shot.light for shot in plan.shots if shot.light))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +186,9 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
     steps = [_steps(c) for c in wanted]
     columns = _secants(problem, point, wanted, steps)
     _other_side(problem, point, wanted, steps, columns)
+    wanted = _where_it_shows(problem, point, wanted, steps, columns)
     for _ in range(2):
-        again = []
+        again, before = [], (list(steps), list(columns))
         for i, column in enumerate(columns):
             length = np.linalg.norm(_profiled(problem, column * steps[i], project), axis=0)
             if np.any(length > STRONG):
@@ -130,7 +199,8 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
         if not again:
             break
         for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
-            columns[i] = column
+            seen = column.any()  # a clip shows nothing in a step that ends above the brightest level: the longer one stays
+            columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
 
 
@@ -149,6 +219,45 @@ def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], ste
             again.append(i)
     for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
         columns[i] = column
+
+
+def _where_it_shows(
+    problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]
+) -> list[Candidate]:
+    """Absent effects whose null lies beyond what the plan reaches (a well of 1e9 electrons) start where they begin to show.
+
+    Their steps and columns are written in place; the prior is then about the place where the effect first shows.
+    """
+    out = list(wanted)
+    for i, c in enumerate(wanted):
+        if c.present or len(c.parameters) > 1 or columns[i].any() or c.parameters[0].low <= 0 or c.nominal[0] < BEYOND * c.tau[0]:
+            continue
+        onset = _onset(problem, point, c)
+        if onset is None:
+            continue
+        (p,) = c.parameters
+        out[i] = replace(c, effect=c.effect.changed(**{p.name: onset}), parameters=(replace(p, high=onset),))
+        steps[i] = np.array([-min(c.tau[0], onset - p.low)])
+        (columns[i],) = _secants(problem, point, [out[i]], [steps[i]])
+    return out
+
+
+def _onset(problem: Problem, point: Point, candidate: Candidate) -> float | None:
+    """The value, to `ONSET`, above which a parameter that is far above everything shows nothing; None if it never shows."""
+    model, (key,) = candidate.model_with(point.model), candidate.keys
+
+    def shows(value: float) -> bool:
+        places = [point, Point(model.with_values({key: value}), point.values)]
+        here, there = problem.predictor.derivative_vectors(places, SIGNATURE_SEEDS)
+        return bool(np.nan_to_num(there - here).any())
+
+    low, high = candidate.parameters[0].low, float(candidate.nominal[0])
+    if not shows(low):
+        return None
+    while high > (1 + ONSET) * low:
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if shows(middle) else (low, middle)
+    return high
 
 
 def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Signature]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,26 +11,36 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
-from isetval.loop.candidates import Candidate, aligned, candidates_for, signatures
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Refit, class_posterior, log_hessian, posteriors, refit, smallest_detectable
+from isetval.loop.candidates import Candidate, aligned, candidates_for, doubts_for, lights_of, signatures
+from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
 from isetval.loop.forms import has_forms, in_best_form
-from isetval.loop.investigation import Investigation, confirmed, holds, rebase, second_session
+from isetval.loop.investigation import (
+    Investigation,
+    ask_holdout,
+    fitted_jointly,
+    rebase,
+    second_session,
+    weigh_neighbours,
+)
+from isetval.loop.posterior import NOTHING, Names
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
-from isetval.loop.replacement import swap
 from isetval.loop.result import CandidateRow, Diagnosis
-from isetval.loop.score_test import Score, cosine, make_frame, score
+from isetval.loop.score_test import Score, make_frame, score
+from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Progress, Say, Teller
-from isetval.loop.unknown import Finding, findings
+from isetval.loop.unknown import Finding, findings, unknown_odds
 from isetval.loop.verdict import account_of
 
 Float = NDArray[np.float64]
 ALPHA = 0.01  # false alarms in a true model, all candidates together
-MAX_EFFECTS = 4  # named in one diagnosis: a model that lacks more is better mended step by step
-SHORT_LIST = 5  # candidates refitted in full: a bound on cost, each simulates the plan several times
-SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
-WORTH_A_REFIT = 0.5  # share of the best score; what explains less than half of it cannot win
+ODDS = 19.0  # 95 %: what a name needs against the same without it
+SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
+CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked only where they are closer
+FORM_SHARE = 0.5  # share of what the best explains that a wrong form of the right effect explains at least
+BENDS = 0.1  # share of what a single effect explains that its secant may be wrong by
+MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
 
 def diagnose(
@@ -74,9 +84,9 @@ def diagnose(
 
     Notes
     -----
-    Profiled score tests with look-elsewhere correction detect (Rao 1948; Bonferroni), Laplace evidence
-    with the catalogue's priors ranks (Kass and Raftery 1995), templates without physics catch what the
-    catalogue does not hold, and the hold-out confirms.
+    One linear model holds everything that may be missing (`isetval.loop.subset_sum`); its sum over subsets proposes, and the
+    few that carry its mass are fitted in full, at bases made where they stand.  The hold-out's predictive probability adds to
+    their evidence.  Templates without physics catch what the catalogue does not hold.  See ``docs/detective.md``.
     """
     say = Teller.of(say, progress)
     ready = holdout if isinstance(holdout, Prepared) else None
@@ -107,69 +117,112 @@ def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared
 def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Investigation:
     say("fitting the nuisances of the nominal model")
     problem, fitted = prepared.settled(model)
-    wanted = candidates_for(model)
+    wanted = candidates_for(model, lights_of(problem.plan))
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     made = signatures(problem, Point(model, far_values(fitted)), wanted, project=frame.basis[: frame.rows])
     made = aligned(problem, fitted, made)
-    return Investigation(prepared, held, problem, fitted, wanted, {s.candidate.name: s for s in made}, frame)
+    wanted = tuple(s.candidate for s in made)
+    by_name = {s.candidate.name: s for s in made}
+    nothing = hypothesis(problem, (), fitted)
+    case = Investigation(prepared, held, problem, nothing, wanted, doubts_for(fitted.free), by_name, frame)
+    case.known[NOTHING] = nothing
+    scores = {c.name: score(frame, case.white()[c.name], side=c.only_side) for c in wanted}
+    case.unobservable = tuple(c.name for c in wanted if not _observable(c, scores[c.name]))
+    tests = len(wanted) - len(case.unobservable)
+    case.rows = [_row(c, scores[c.name], tests, c.name not in case.unobservable) for c in wanted]
+    return case
 
 
 def _investigate(case: Investigation, say: Say) -> list[Finding]:
-    """Name effects until none passes; returns the patterns that are left over."""
-    for turn in range(MAX_EFFECTS):
-        scores = score_all(case)
+    """Change what is believed until nothing is more probable; returns the patterns that are left over."""
+    seen = {case.standing.names}
+    for turn in range(MAX_TURNS):
+        weigh_neighbours(case)
         if turn == 0:
-            case.unobservable = tuple(c.name for c in case.candidates if not _observable(c, scores[c.name]))
-        tested = [c for c in case.candidates if c.name not in case.unobservable and c.name not in _names(case)]
-        passing = [c for c in tested if _corrected(scores[c.name], len(tested)) < ALPHA]
-        if turn == 0:
-            case.rows = [_row(c, scores[c.name], len(tested), c.name not in case.unobservable) for c in case.candidates]
-        if not passing:
+            _tell_evidence(case)
+        better = _better(case, say, seen, first=turn == 0)
+        if better is None:
             break
-        passing.sort(key=lambda c: _strength(scores[c.name]), reverse=True)
-        best = _strength(scores[passing[0].name])
-        likely = [c for c in passing if _strength(scores[c.name]) > WORTH_A_REFIT * best - 20]
-        short = likely[:SHORT_LIST] + [c for c in likely[SHORT_LIST:] if has_forms(c)]  # the score is of one form only
-        say("refitting " + ", ".join(c.name for c in short))
-        refits = [in_best_form(case, _refit(case, c, scores[c.name]), say) for c in short]
-        refits.sort(key=lambda r: r.log_evidence, reverse=True)
-        p = _corrected(scores[refits[0].candidate.name], len(tested))
-        if not (holds(case, refits[0], len(tested), say) if turn else confirmed(case, refits[0], p, len(tested), say)):
-            break
-        _name(case, refits, len(tested), turn)
-        say(f"named {refits[0].candidate.name}")
-        rebase(case, say)
-        if turn and swap(case, say):
+        say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
+        seen.add(better.names)
+        same = {id(m) for m in better.effects} == {id(m) for m in case.standing.effects}
+        case.standing = better
+        if not same:
             rebase(case, say)
-    return findings(case.problem, make_frame(case.fitted), alpha=ALPHA, second=second_session(case))
-
-
-def _names(case: Investigation) -> list[str]:
-    return [r.candidate.name for r in case.named]
-
-
-def score_all(case: Investigation) -> dict[str, Score]:
-    """The profiled score of every candidate at the present fit.
-
-    A parameter that also carries a tolerance of the laboratory is tested like any other: the prior is one more row of
-    the frame, so that the pull of the tolerance is what the freed parameter would explain.
-    """
+    case.rows = [replace(row, posterior=case.table.of(row.name)) if row.observable else row for row in case.rows]
     frame = make_frame(case.fitted)
-    white = {c.name: case.problem.whitened(case.signatures[c.name].columns) for c in case.candidates}
-    return {c.name: score(frame, white[c.name], one_sided=c.one_sided) for c in case.candidates}
+    case.unknown = unknown_odds(case.problem, frame, case.classes)
+    return findings(case.problem, frame, alpha=ALPHA, second=second_session(case))
+
+
+def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> Hypothesis | None:
+    """The hypothesis that should stand instead, or None; where they are close the hold-out is asked."""
+    tried = _refitted(case, say, first=first)
+    rivals = [h for h in case.known.values() if h.names not in seen and len(h.effects) <= MAX_EFFECTS]
+    lead = max(rivals, key=case.score, default=None)
+    if lead is None:
+        return None
+    if abs(case.score(lead) - case.score(case.standing)) < CLEAR:
+        say("asking the hold-out")
+        ask_holdout(case, [h for h in case.known.values() if h is lead or h in tried or h.names < case.standing.names])
+    wins = [h for h in rivals if case.score(h) - case.score(case.standing) > _needed(case, h)]
+    return max(wins, key=case.score, default=None)
+
+
+def _needed(case: Investigation, other: Hypothesis) -> float:
+    """Ln of the odds that another hypothesis must have against what stands: a name needs 19 to 1 against the same without it.
+
+    The first needs 19 to 1 for *anything* against nothing: look-alikes that share the probability do not hide each other.
+    Without a hold-out it needs to be likelier than nothing, and the test at `ALPHA` with look-elsewhere to say so.
+    """
+    if other.names < case.standing.names:
+        return -float(np.log(ODDS))
+    if not case.standing.names < other.names:
+        return 0.0
+    if case.standing.names:
+        return float(np.log(ODDS))
+    found = any(row.p_corrected < ALPHA for row in case.rows if row.name in other.names)
+    return 0.0 if case.held is None and found else float(np.log(ODDS)) - case.table.log_rest(other.names)
+
+
+def _refitted(case: Investigation, say: Say, *, first: bool) -> list[Hypothesis]:
+    """Hypotheses that carry the sum, fitted in full: first single effects, which the rest is then weighed about."""
+    tried: list[Hypothesis] = []
+    for names in _proposals(case, first=first):
+        if len(tried) >= SHORT_LIST and not (first and _may_bend(case, names)):
+            continue
+        if not first and case.table.logs[names] < max(case.score(h) for h in case.known.values()) - CLOSE_LOG_ODDS:
+            break
+        say(f"fitting {', '.join(sorted(names))}")
+        found = in_best_form(case, fitted_jointly(case, names), say)
+        case.known[names] = found
+        tried.append(found)
+    return tried
+
+
+def _proposals(case: Investigation, *, first: bool) -> list[Names]:
+    """Subsets that are fitted in full, the most probable first."""
+    logs = case.table.logs
+    ranked = [n for n in case.table.ranked if (n not in case.known or n in case.rough) and len(n) <= MAX_EFFECTS]
+    if not first:
+        return ranked[: 4 * SHORT_LIST]
+    singles = [names for names in ranked if len(names) == 1]
+    if not singles:
+        return []
+    gain = logs[singles[0]] - logs[NOTHING]
+    floor = max(logs[singles[0]] - CLOSE_LOG_ODDS - BENDS * max(gain, 0.0), logs[NOTHING] - CLOSE_LOG_ODDS)
+    wide = max(logs[singles[0]] - FORM_SHARE * max(gain, 0.0), logs[NOTHING] - CLOSE_LOG_ODDS)
+    return [names for names in singles if logs[names] > (wide if _may_bend(case, names) else floor)]
+
+
+def _may_bend(case: Investigation, names: Names) -> bool:
+    """Whether a single effect may have another form than the one its signature was made with."""
+    return any(isinstance(m, Candidate) and has_forms(m) for m in (case.member(name) for name in names))
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:
     return bool(found.rank and np.any(found.sigma < candidate.tau))
-
-
-def _corrected(found: Score, tests: int) -> float:
-    return min(1.0, found.p_value * tests)
-
-
-def _strength(found: Score) -> float:
-    return found.dchi2 - 2.0 * found.rank
 
 
 def _row(candidate: Candidate, found: Score, tests: int, observable: bool) -> CandidateRow:
@@ -177,52 +230,19 @@ def _row(candidate: Candidate, found: Score, tests: int, observable: bool) -> Ca
         p.name: (float(n + v), float(s))
         for p, n, v, s in zip(candidate.parameters, candidate.nominal, found.estimate, found.sigma, strict=True)
     }
-    return CandidateRow(
-        candidate.name,
-        found.dchi2,
-        found.rank,
-        _corrected(found, tests),
-        None,
-        None,
-        estimate,
-        smallest_detectable(found),
-        observable,
-    )
+    p_corrected = min(1.0, found.p_value * tests)
+    smallest = smallest_detectable(found)
+    return CandidateRow(candidate.name, found.dchi2, found.rank, p_corrected, None, None, estimate, smallest, observable)
 
 
-def _refit(case: Investigation, candidate: Candidate, found: Score) -> Refit:
-    return refit(
-        case.problem,
-        case.fitted,
-        candidate,
-        signature=case.signatures[candidate.name],
-        found=found,
-        null_hessian=log_hessian(case.fitted),
-    )
+def _tell_evidence(case: Investigation) -> None:
+    """Write the evidence of every single effect against nothing into its row."""
+    logs = case.table.logs
 
+    def told(row: CandidateRow) -> CandidateRow:
+        names = frozenset({row.name})
+        if names not in logs:
+            return row
+        return replace(row, log_evidence=logs[names] - logs[NOTHING] - case.log_prior([case.member(row.name)]))
 
-def _name(case: Investigation, refits: Sequence[Refit], tests: int, turn: int) -> None:
-    best = refits[0]
-    chances = posteriors([r.log_evidence for r in refits], tests)
-    frame = make_frame(case.fitted)
-    white = {name: case.problem.whitened(s.columns) for name, s in case.signatures.items()}
-    rivals = tuple(r.candidate.name for r in refits[1:] if best.log_evidence - r.log_evidence < CLOSE_LOG_ODDS)
-    close = [
-        c.name
-        for c in case.candidates
-        if c.name not in (best.candidate.name, *case.unobservable)
-        and cosine(frame, white[best.candidate.name], white[c.name]) > SAME_RHO
-    ]
-    case.equivalent.append(tuple(dict.fromkeys([*rivals, *close])))
-    case.rivals.append(rivals)
-    case.named.append(best)
-    case.runners_up.append(tuple(refits[1:]))
-    members = [0, *[i for i, r in enumerate(refits) if r.candidate.name in rivals]]
-    case.named_posteriors.append(class_posterior(refits, members, tests))
-    if turn == 0:
-        by_name = {r.candidate.name: (r.log_evidence, float(p)) for r, p in zip(refits, chances, strict=True)}
-        case.rows = [
-            replace(row, log_evidence=by_name[row.name][0], posterior=by_name[row.name][1]) if row.name in by_name else row
-            for row in case.rows
-        ]
-    case.fitted = best.fitted
+    case.rows = [told(row) for row in case.rows]

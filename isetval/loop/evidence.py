@@ -1,4 +1,4 @@
-"""Ranking the survivors: joint refits and Laplace evidence with the catalogue's priors."""
+"""Hypotheses about what is missing, fitted with all that the laboratory does not know, and their evidence."""
 
 from __future__ import annotations
 
@@ -10,114 +10,163 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.core.parameter import Parameter
-from isetval.loop.candidates import Candidate, Signature
-from isetval.loop.fit import Fit, fit
-from isetval.loop.gaussian import hessian, log_determinant
+from isetval.loop.candidates import Candidate, Doubt, Signature
+from isetval.loop.fit import MAX_ITERATIONS, Fit, fit, nuisance_parameters
+from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
+from isetval.loop.subset_sum import LinearModel, Term, Weighed, weigh
 
 Float = NDArray[np.float64]
-PROBABILITY_CAP = 0.98  # no posterior is stated above it: effects outside the catalogue are not in the sum
 CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery 1995, table 1)
-WIDTH_SCAN = 3.0  # prior widths are plausible scales, known to about this factor
+STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's parameter, well above the noise of common numbers
+REACH = 1.5  # widths of a signature's secant that a fit starts away from the null at most: the secant bends beyond
+WORTH = 0.5  # share of the linear gain in ln Z below which a fit has not found what a draw of the specimen promises
+
+Member = Candidate | Doubt
 
 
 @dataclass(frozen=True, eq=False)
-class Refit:
-    """A candidate fitted jointly with all nuisances; ``log_evidence`` is ln(Z_e / Z_0).
+class Hypothesis:
+    """What is missing (``members``), fitted jointly with all nuisances.
 
-    ``values`` are its parameters: those of the joint fit, or the linear ones of the score test where the
-    fit found less than half of what the score promises.  That happens to effects that are a draw of the
-    specimen: with the weights of a camera without hot pixels nothing but the very same pixels would fit.
+    ``log_evidence`` is ln Z with the weights of the problem it was fitted in, absolute: only differences between
+    hypotheses of one problem mean anything.  ``values`` are the members' parameters: those of the fit, or the linear ones
+    where the fit found less than half of what they promise.  That happens to effects that are a draw of the specimen: with
+    the weights of a camera without hot pixels nothing but the very same pixels would fit.
     """
 
-    candidate: Candidate
+    members: tuple[Member, ...]
     fitted: Fit
     log_evidence: float
-    dchi2: float
+    weighed: Weighed
     values: Mapping[str, float]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of its members."""
+        return frozenset(m.name for m in self.members)
+
+    @property
+    def effects(self) -> tuple[Candidate, ...]:
+        """Its members that are effects of the catalogue."""
+        return tuple(m for m in self.members if isinstance(m, Candidate))
+
+
+def linear_model(problem: Problem, fitted: Fit, terms: Sequence[Term] = ()) -> LinearModel:
+    """The linear model about a fit: everything that is free in it, and terms that may be added."""
+    free = fitted.free
+    center = np.array([f.center for f in free])
+    return LinearModel(
+        z=fitted.z,
+        nuisances=fitted.jacobian * np.array([f.reach for f in free]),
+        held=np.array([f.prior is not None for f in free], bool),
+        pulls=np.array([f.weight for f in free]) * (fitted.values - center),
+        side=np.array([0.0 if f.is_nuisance else float(f.center <= f.low) - float(f.center >= f.high) for f in free]),
+        families=np.array([problem.predictor.table.metrics[i].family for i in problem.keep]),
+        terms=tuple(terms),
+    )
+
+
+def hypothesis(problem: Problem, members: Sequence[Member], fitted: Fit, values: Mapping[str, float] | None = None) -> Hypothesis:
+    """A fit of ``members`` with its evidence."""
+    weighed = weigh(linear_model(problem, fitted), ())
+    found = {key: fitted.value(key)[0] for m in members for key in m.keys}
+    return Hypothesis(tuple(members), fitted, weighed.log_evidence, weighed, values or found)
 
 
 def refit(
-    problem: Problem, fitted: Fit, candidate: Candidate, *, signature: Signature, found: Score, null_hessian: float
-) -> Refit:
-    """Fit a candidate's parameters together with everything that ``fitted`` left free.
+    problem: Problem,
+    nominal: CameraModel,
+    near: Hypothesis,
+    members: Sequence[Member],
+    start: Mapping[str, float],
+    steps: Mapping[str, float],
+    promised: float | None = None,
+    *,
+    iterations: int = MAX_ITERATIONS,
+) -> Hypothesis:
+    """Fit the parameters of ``members`` together with everything that the laboratory does not know.
 
-    The evidence is Laplace's, with normal priors N(null, tau^2) (half-normal for a parameter that can
-    only grow): ``ln B = (chi2_0 - chi2_e)/2 - (ln det H_e - ln det H_0)/2 - sum ln tau (+ ln 2)``,
-    chi2 with the priors' part and H the Hessians of both.
+    Parameters
+    ----------
+    nominal : CameraModel
+        The model without any member.
+    near : Hypothesis
+        Where the nuisances start.
+    start, steps : mapping
+        Values of the members' parameters to start at, and finite steps, by key.
+    promised : float, optional
+        ln Z that the linear model promises; where the fit finds less than half of its gain over ``near``, it stands.
+    iterations : int
+        Steps of the fit at most; with 0 the hypothesis is linearised where it starts.
     """
-    estimate = np.where(np.isfinite(found.sigma), found.estimate, 0.0)
-    start_model = candidate.model_with(fitted.point.model)
-    steps = np.abs(signature.steps)
-    free_effect = candidate.free([float(s) for s in steps])
-    low = np.array([f.low for f in free_effect])
-    high = np.array([f.high for f in free_effect])
-    reach = np.maximum(np.abs(signature.steps) * 1.5, candidate.tau)
-    value = np.clip(candidate.nominal + np.clip(estimate, -reach, reach), low, high)
-    kept, dropped = without_prior(fitted.free, candidate)
-    start = without_values(
-        fitted.point, dropped, start_model.with_values(dict(zip(candidate.keys, map(float, value), strict=True)))
-    )
-    effect_steps = np.maximum(candidate.effect.step_share * np.abs(value - candidate.nominal), 0.02 * candidate.tau)
-    free = (
-        *kept,
-        *(f.stepped(float(h)) for f, h in zip(free_effect, effect_steps, strict=True)),
-    )
-    joint = fit(problem, start, free)
-    volume = log_hessian(joint)
-    sides = np.log(2.0) if candidate.one_sided else 0.0
-    gain = (fitted.chi2 - joint.chi2) / 2
-    log_evidence = gain - (volume - null_hessian) / 2 - float(np.sum(np.log(candidate.tau))) + sides
-    log_evidence += sum(np.log(p.prior) for p in dropped if p.prior)  # the null paid for these priors, the effect does not
-    if gain > found.dchi2 / 4:
-        return Refit(candidate, joint, float(log_evidence), 2 * float(gain), {key: joint.value(key)[0] for key in candidate.keys})
-    linear = dict(zip(candidate.keys, map(float, value), strict=True))
-    return Refit(candidate, joint, _linear_evidence(candidate, found, sides), found.dchi2, linear)
+    free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
+    point = _starting_point(nominal, near.fitted.point.values, free, members, start)
+    found = hypothesis(problem, members, fit(problem, point, free, iterations=iterations))
+    gain = found.log_evidence - near.log_evidence
+    if promised is None or gain > WORTH * (promised - near.log_evidence):
+        return found
+    return Hypothesis(found.members, found.fitted, promised, found.weighed, {key: start[key] for m in members for key in m.keys})
 
 
-def _linear_evidence(candidate: Candidate, found: Score, sides: float) -> float:
-    """Laplace evidence at the linear estimate, its parameters taken as independent."""
-    width = np.log(np.minimum(found.sigma / candidate.tau, 1.0))
-    return float(found.dchi2 / 2 + np.sum(width) + sides)
+def free_parameters(
+    unknowns: Sequence[Parameter], members: Sequence[Member], steps: Mapping[str, float]
+) -> tuple[Parameter, ...]:
+    """The laboratory's unknowns, without the tolerances of parameters that are free now, and the members' parameters."""
+    keys = {key for m in members for key in m.keys}
+    doubted = {m.parameter.label: m.loosened for m in members if isinstance(m, Doubt)}
+    kept = [doubted.get(f.label, f) for f in unknowns if f.key not in keys]
+    own = [p for m in members if isinstance(m, Candidate) for p in m.free([steps[key] for key in m.keys])]
+    return (*kept, *own)
 
 
-def without_prior(free: Sequence[Parameter], candidate: Candidate) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
-    """Free parameters without the tolerances of the candidate's own parameters, and those."""
-    kept = tuple(f for f in free if f.key not in candidate.keys)
-    return kept, tuple(f for f in free if f.key in candidate.keys)
+def _starting_point(
+    nominal: CameraModel,
+    values: Mapping[str, float],
+    free: Sequence[Parameter],
+    members: Sequence[Member],
+    start: Mapping[str, float],
+) -> Point:
+    """The members at their first values; values of unknowns that are free no more are left out, or they would be added."""
+    model = nominal
+    for member in members:
+        if isinstance(member, Candidate):
+            named = zip(member.keys, member.parameters, strict=True)
+            clipped = {key: float(np.clip(start[key], p.low, p.high)) for key, p in named}
+            model = model.with_effect(member.effect).with_values(clipped)
+    labels = {f.label for f in free}
+    return Point(model, {label: value for label, value in values.items() if label in labels})
 
 
-def without_values(point: Point, dropped: Sequence[Parameter], model: CameraModel) -> Point:
-    """``model`` at the point, without the values of tolerances that are free no more: they would be added to the effect's."""
-    gone = {p.label for p in dropped}
-    return Point(model, {label: value for label, value in point.values.items() if label not in gone})
+def least_chi2(fitted: Fit) -> float:
+    """Chi2, the priors' part in it, at the bottom of the parabola about a fit (which need not stand there)."""
+    matrix, priors = with_priors(fitted.jacobian, fitted.free)
+    pulls = prior_weights(fitted.free) * (fitted.values - np.array([f.center for f in fitted.free]))
+    rows = np.concatenate([fitted.z, -pulls[priors]])
+    basis = orthonormal_basis(matrix)
+    return float(rows @ rows - np.sum((basis.T @ rows) ** 2))
 
 
-def log_hessian(fitted: Fit) -> float:
-    """Ln det of the Hessian of a fit, priors included."""
-    return log_determinant(hessian(fitted.jacobian, fitted.free))
+def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dict[str, float]:
+    """Parameters to start a fit at, from the linear model's (in units of their priors' widths).
 
-
-def posteriors(log_evidence: Sequence[float], candidates: int) -> Float:
-    """Posterior probabilities of the refitted candidates against "nothing is missing" (prior odds 1/candidates each)."""
-    logs = np.array([0.0, *(np.asarray(log_evidence) - np.log(max(candidates, 1)))])
-    weight = np.exp(logs - logs.max())
-    return np.asarray(np.minimum(weight / weight.sum(), PROBABILITY_CAP)[1:])
-
-
-def class_posterior(refits: Sequence[Refit], members: Sequence[int], tests: int) -> tuple[float, float, float]:
-    """Posterior of a class (places in ``refits``), and its range when all prior widths are three times narrower or wider.
-
-    Evidence falls with the logarithm of the prior's width for each parameter (Lindley 1957), so a
-    probability that hangs on the width must show it.
+    A variance goes as the square of its parameter: what a secant of one step says of half of it is a quarter.
     """
-    out = []
-    for factor in (1.0, 1 / WIDTH_SCAN, WIDTH_SCAN):
-        logs = [r.log_evidence - len(r.candidate.parameters) * np.log(factor) for r in refits]
-        out.append(min(float(sum(posteriors(logs, tests)[i] for i in members)), PROBABILITY_CAP))
-    return out[0], min(out), max(out)
+    moved = mean * candidate.tau
+    step = np.abs(signature.steps)
+    if candidate.draws_noise:
+        moved = step * np.sqrt(np.maximum(moved, 0.0) / step)
+    reach = np.maximum(REACH * step, candidate.tau)
+    return dict(zip(candidate.keys, map(float, candidate.nominal + np.clip(moved, -reach, reach)), strict=True))
+
+
+def first_steps(candidate: Candidate, values: Mapping[str, float]) -> dict[str, float]:
+    """Finite steps of a candidate's parameters near some values."""
+    away = np.abs(np.array([values[key] for key in candidate.keys]) - candidate.nominal)
+    steps = np.maximum(candidate.effect.step_share * away, STEP_SHARE * candidate.tau)
+    return dict(zip(candidate.keys, map(float, steps), strict=True))
 
 
 def smallest_detectable(score: Score, alpha_sigma: float = 3.67, power_sigma: float = 1.64) -> float | None:

@@ -166,7 +166,7 @@ def _slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_si
     return out
 
 
-def fit(problem: Problem, start: Point, free: Sequence[Parameter]) -> Fit:
+def fit(problem: Problem, start: Point, free: Sequence[Parameter], *, iterations: int = MAX_ITERATIONS) -> Fit:
     """Maximum a posteriori values of ``free`` by Gauss-Newton steps in a trust region, with re-simulated predictions.
 
     Parameters
@@ -175,6 +175,8 @@ def fit(problem: Problem, start: Point, free: Sequence[Parameter]) -> Fit:
     start : Point
         Parameters start at the point's own values.
     free : sequence of Parameter
+    iterations : int
+        Steps at most; with 0 all is linearised where it starts.
 
     Raises
     ------
@@ -190,7 +192,7 @@ def fit(problem: Problem, start: Point, free: Sequence[Parameter]) -> Fit:
     state = _State.at(problem, start, free)
     matrix = jacobian(problem, state.point(start, free), free)
     radius, converged, failures = RADIUS, not free, 0
-    for _ in range(MAX_ITERATIONS if free else 0):
+    for _ in range(iterations if free else 0):
         step, promised, length = _step(matrix, state, radius)
         moved = state.moved(problem, start, free, step)
         kept = (state.cost - moved.cost) / max(promised, 1e-300)

@@ -3,37 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import product
 
-import numpy as np
-
 from isetval.loop.candidates import Candidate
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Refit, log_hessian, without_prior, without_values
-from isetval.loop.fit import fit
+from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, refit
 from isetval.loop.investigation import Investigation
+from isetval.loop.posterior import NOTHING
 from isetval.loop.result import FormRow
 
 Say = Callable[[str], None]
 STEP_SHARE = 0.05  # of the prior's width: as the joint refits of candidates step
 
 
-def in_best_form(case: Investigation, found: Refit, say: Say) -> Refit:
-    """The candidate in the form that the data ask for; the same where it has one form only.
+def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis:
+    """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
     A candidate whose shape is wrong loses to another effect, or leaves a residual that looks like a second one.  Its
     other forms, and its shape parameters freed with their priors, are fitted from where its fit ended, and the evidence
     of each, as of any candidate, decides; the form is changed for strong evidence only.
     """
-    fits = [found, *(_fitted(case, variant, found) for variant in _variants(found.candidate))]
+    for name in sorted(m.name for m in found.effects):
+        found = _in_best_form_of(case, found, name, say)
+    return found
+
+
+def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say) -> Hypothesis:
+    def form_of(one: Hypothesis) -> Candidate:
+        return next(m for m in one.effects if m.name == name)
+
+    fits = [found, *(_fitted(case, variant, found) for variant in _variants(form_of(found)))]
     if len(fits) == 1:
         return found
-    best = max(fits, key=lambda fitted: fitted.log_evidence)
-    chosen = best if best.log_evidence - found.log_evidence > CLOSE_LOG_ODDS else found
-    rest = sorted((f for f in fits if f is not chosen), key=lambda fitted: fitted.log_evidence, reverse=True)
-    rows = [FormRow(_words(f.candidate), _free(f.candidate), f.log_evidence) for f in (chosen, *rest)]
-    case.forms[found.candidate.name] = tuple(rows)
+    fits.sort(key=case.score, reverse=True)
+    chosen = fits[0] if case.score(fits[0]) - case.score(found) > CLOSE_LOG_ODDS else found
+    null = case.known[NOTHING].log_evidence
+    rows = [
+        FormRow(_words(form_of(f)), _free(form_of(f)), f.log_evidence - null)
+        for f in (chosen, *(f for f in fits if f is not chosen))
+    ]
+    case.forms[name] = tuple(rows)
     if chosen is not found:
-        say(f"{found.candidate.name}: form {rows[0].form} with {', '.join(rows[0].free)} free")
+        say(f"{name}: form {rows[0].form} with {', '.join(rows[0].free)} free")
     return chosen
 
 
@@ -59,19 +70,14 @@ def _variants(candidate: Candidate) -> Iterator[Candidate]:
         other = effect.changed(**dict(zip(names, choice, strict=True)))
         for more in ((), shapes) if shapes else ((),):
             if other != effect or more:
-                yield Candidate(candidate.name, other, (*candidate.parameters, *more), candidate.present)
+                yield replace(candidate, effect=other, parameters=(*candidate.parameters, *more))
 
 
-def _fitted(case: Investigation, variant: Candidate, found: Refit) -> Refit:
-    """Joint fit of a form with all that the present fit leaves free, its evidence against that as of any candidate."""
-    before = case.fitted
-    kept, dropped = without_prior(before.free, variant)
-    values = dict(zip(variant.keys, map(float, variant.nominal), strict=True)) | dict(found.values)
-    start = found.fitted.point
-    model = start.model.with_effect(variant.effect).with_values(values)
-    point = without_values(start, dropped, model)
-    free = variant.free([STEP_SHARE * float(tau) for tau in variant.tau])
-    joint = fit(case.problem, point, (*kept, *free))
-    gain = (before.chi2 - joint.chi2) / 2
-    evidence = gain - (log_hessian(joint) - log_hessian(before)) / 2 - float(np.sum(np.log(variant.tau)))
-    return Refit(variant, joint, float(evidence), 2 * float(gain), {key: joint.value(key)[0] for key in variant.keys})
+def _fitted(case: Investigation, variant: Candidate, found: Hypothesis) -> Hypothesis:
+    """A hypothesis with one of its effects in another form, fitted from where its own fit ended."""
+    members = [variant if m.name == variant.name else m for m in found.members]
+    start = {key: float(v) for m in found.effects for key, v in zip(m.keys, m.nominal, strict=True)}
+    start |= dict(zip(variant.keys, map(float, variant.nominal), strict=True)) | dict(found.values)
+    effects = [m for m in members if isinstance(m, Candidate)]
+    steps = {key: STEP_SHARE * float(tau) for m in effects for key, tau in zip(m.keys, m.tau, strict=True)}
+    return refit(case.problem, case.prepared.model, found, members, start, steps)

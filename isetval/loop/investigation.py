@@ -1,4 +1,4 @@
-"""The state of one investigation, and what may change it: the hold-out's word, a new base at the named model."""
+"""The state of one investigation: what is believed, at which base it was weighed, and what may be believed instead."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.loop.candidates import Candidate, Signature
-from isetval.loop.evidence import Refit
-from isetval.loop.fit import Fit, far_values, fit
+from isetval.loop.candidates import Candidate, Doubt, Signature
+from isetval.loop.evidence import Hypothesis, Member, first_steps, first_values, hypothesis, linear_model, refit
+from isetval.loop.fit import Fit, far_values, fit, nuisance_parameters
+from isetval.loop.posterior import NOTHING, Names, Posterior
 from isetval.loop.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.result import CandidateRow, FormRow
 from isetval.loop.score_test import Frame, make_frame
-from isetval.loop.unknown import SURE, Second
+from isetval.loop.subset_sum import MAX_EFFECTS, Term, Weighed, weigh, weigh_all
+from isetval.loop.unknown import Second
 
-WORTH_ON_HOLDOUT = 0.3  # share of an effect's gain that must be found again: a true one gives 1 +- its own error
-ODDS = 19.0  # 95 %
+Float = NDArray[np.float64]
 MAX_REBASES = 5  # new bases at a moving strength: a bound on cost
 STANDS = 0.7  # sigmas within which a value stands: a choice, below the error that it is stated with
 Say = Callable[[str], None]
@@ -27,96 +29,216 @@ Say = Callable[[str], None]
 
 @dataclass(eq=False)
 class Investigation:
-    """The state of one investigation."""
+    """The state of one investigation.
+
+    ``standing`` is what is believed; ``known`` are all hypotheses with the weights of the present ``problem``, among them those
+    with a member of ``standing`` taken out, about which the sum is linearised (``rough``: not fitted yet); ``table`` is the
+    sum, ``unknown`` the odds of something of no known shape beside what stands.
+    """
 
     prepared: Prepared
     held: Prepared | None
     problem: Problem
-    fitted: Fit
+    standing: Hypothesis
     candidates: tuple[Candidate, ...]
+    doubts: tuple[Doubt, ...]
     signatures: dict[str, Signature]
     nominal_frame: Frame
-    named: list[Refit] = field(default_factory=list)
-    named_posteriors: list[tuple[float, float, float]] = field(default_factory=list)
-    equivalent: list[tuple[str, ...]] = field(default_factory=list)
-    rivals: list[tuple[str, ...]] = field(default_factory=list)
-    runners_up: list[tuple[Refit, ...]] = field(default_factory=list)
+    known: dict[Names, Hypothesis] = field(default_factory=dict)
+    linear: dict[Names, Weighed] = field(default_factory=dict)
+    table: Posterior = field(default_factory=lambda: Posterior({NOTHING: 0.0}, {NOTHING: 0}))
+    rough: set[Names] = field(default_factory=set)
+    told: dict[Names, float] = field(default_factory=dict)
     rows: list[CandidateRow] = field(default_factory=list)
     unobservable: tuple[str, ...] = ()
+    unknown: float = 0.0
     remarks: list[str] = field(default_factory=list)
     forms: dict[str, tuple[FormRow, ...]] = field(default_factory=dict)
+    whitened: tuple[Problem | None, dict[str, Float]] = (None, {})
+
+    @property
+    def fitted(self) -> Fit:
+        """The joint fit of what is believed."""
+        return self.standing.fitted
+
+    @property
+    def classes(self) -> int:
+        """How many share the prior: the effects that would show, and the laboratory's slips as one."""
+        return len({c.klass for c in self.candidates if c.name not in self.unobservable}) + bool(self.doubts)
+
+    def white(self) -> dict[str, Float]:
+        """Whitened columns of every signature, with the weights of the present problem."""
+        if self.whitened[0] is not self.problem:
+            self.whitened = (self.problem, {name: self.problem.whitened(s.columns) for name, s in self.signatures.items()})
+        return self.whitened[1]
+
+    def log_prior(self, members: Sequence[Member]) -> float:
+        """Ln of the prior odds of a hypothesis against nothing."""
+        share = [m.prior_weight if isinstance(m, Candidate) else 1 / len(self.doubts) for m in members]
+        return float(np.sum(np.log(share)) - len(share) * np.log(max(self.classes, 1)))
+
+    def score(self, found: Hypothesis) -> float:
+        """ln(Z pi), absolute, with what the hold-out said (not asked: as much as of what stands)."""
+        return found.log_evidence + self.log_prior(found.members) + self.told.get(found.names, 0.0)
+
+    def member(self, name: str) -> Member:
+        """The member of that name, in the form in which it stands if it does."""
+        return next(m for m in (*self.standing.members, *self.candidates, *self.doubts) if m.name == name)
 
 
 def second_session(case: Investigation) -> Second | None:
     """The hold-out under the model named so far."""
     if case.held is None:
         return None
-    model = named_model(case, case.named, case.fitted)
-    problem, fitted = case.held.settled(model)
+    problem, fitted = case.held.settled(named_model(case.prepared.model, case.standing))
     return Second(problem, make_frame(fitted), fitted.residual)
 
 
-def _holdout_gain(case: Investigation, held: Prepared, found: Refit, say: Say) -> float:
-    """By how much chi2 of the hold-out falls with a further effect as found, with the same weights on both sides."""
-    before = named_model(case, case.named, case.fitted)
-    after = named_model(case, [*case.named, found], found.fitted)
-    gain = held.chi2(before, weights=before) - held.chi2(after, weights=before)
-    say(f"{found.candidate.name}: chi2 of the hold-out falls by {gain:.1f}, here by {found.dchi2:.1f}")
-    return gain
+def named_model(nominal: CameraModel, found: Hypothesis) -> CameraModel:
+    """The nominal model with the effects of a hypothesis at their values."""
+    model = nominal
+    for member in found.effects:
+        values = {p.name: found.values[key] for p, key in zip(member.parameters, member.keys, strict=True)}
+        model = model.with_effect(member.effect.changed(**values))
+    return model
 
 
-def confirmed(case: Investigation, found: Refit, p: float, tests: int, say: Say) -> bool:
-    """Whether a first effect keeps odds of 19 to 1 when the hold-out has spoken (it need not where p is below `SURE`).
+def terms_beside(case: Investigation, reference: Hypothesis) -> list[Term]:
+    """What may be added to a hypothesis, as terms of the linear model about it, without what stands."""
+    gone = {*case.unobservable, *reference.names, *case.standing.names}
+    taken = {c.klass for c in reference.effects}
+    white = case.white()
+    terms = [
+        Term(c.name, white[c.name], c.tau, c.side, c.klass, c.prior_weight)
+        for c in case.candidates
+        if c.name not in gone and c.klass not in taken
+    ]
+    labels = [f.label for f in reference.fitted.free]
+    for doubt in case.doubts:
+        if doubt.name not in gone and doubt.parameter.label in labels:
+            column = reference.fitted.jacobian[:, [labels.index(doubt.parameter.label)]]
+            width = doubt.loosened.reach
+            terms.append(Term(doubt.name, column, np.array([width]), np.zeros(1), prior=1 / len(case.doubts)))
+    return [t for t in terms if t.white.any()]
 
-    The frozen effect's predictive log-likelihood ratio on the hold-out, half the gain in chi2, adds to the evidence.
+
+def weigh_neighbours(case: Investigation) -> None:
+    """Make the sum about what stands and about what is left of it when members are taken out, with the same weights."""
+    logs: dict[Names, float] = {}
+    freed: dict[Names, int] = {}
+    case.linear = {}
+    for reference in _references(case):
+        terms = terms_beside(case, reference)
+        largest = max(MAX_EFFECTS - len(reference.members), 0)
+        found, own = weigh_all(linear_model(case.problem, reference.fitted, terms), classes=max(case.classes, 1), largest=largest)
+        base = case.log_prior(reference.members)
+        count = sum(len(m.keys) for m in reference.members)
+        for subset, value in found.items():
+            names = reference.names | {terms[i].name for i in subset}
+            logs[names] = value + base
+            freed[names] = count + sum(terms[i].tau.size for i in subset)
+        case.linear |= {reference.names | {terms[i].name for i in s}: w for s, w in own.items()}
+    case.table = Posterior(logs | {names: case.score(h) for names, h in case.known.items() if names in logs}, freed)
+
+
+def _references(case: Investigation) -> list[Hypothesis]:
+    """What stands, each part of it with one member taken out, and nothing, with the weights of the present problem.
+
+    The parts are linearised where the nuisances of what stands are; a part that turns out to be likely is fitted in full.
     """
-    if case.held is None or p < SURE:
-        return True
-    gain = _holdout_gain(case, case.held, found, say)
-    if found.log_evidence + gain / 2 > np.log(ODDS * tests):
-        return True
-    name = found.candidate.name
-    case.remarks.append(f"{name} passed the test here (p = {p:.1g}) but not together with the hold-out: not named")
-    return False
+    stands = case.standing.members
+    parts = [stands, *([m for m in stands if m is not gone] for gone in stands), ()]
+    out: dict[Names, Hypothesis] = {}
+    for part in parts:
+        names = frozenset(m.name for m in part)
+        if names not in case.known:
+            near = case.standing
+            values = {key: near.values[key] for m in part for key in m.keys}
+            case.known[names] = refit(
+                case.problem, case.prepared.model, near, list(part), values, _steps(part, values), iterations=0
+            )
+            case.rough.add(names)
+        out[names] = case.known[names]
+    return list(out.values())
 
 
-def holds(case: Investigation, found: Refit, tests: int, say: Say) -> bool:
-    """Whether a further effect has odds of 19 to 1 and also helps on captures that it was not fitted to."""
-    if found.log_evidence < np.log(ODDS * tests):
-        return False
-    return case.held is None or _holdout_gain(case, case.held, found, say) > WORTH_ON_HOLDOUT * found.dchi2
+def _steps(members: Sequence[Member], values: dict[str, float]) -> dict[str, float]:
+    return {key: h for m in members if isinstance(m, Candidate) for key, h in first_steps(m, values).items()}
+
+
+def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
+    """A subset of the sum fitted in full, from where the linear model puts it."""
+    shared = names & case.standing.names
+    reference = case.known[shared if shared in case.known else NOTHING]
+    members = [case.member(name) for name in sorted(names)]
+    case.rough.discard(names)
+    values = dict(reference.values)
+    weighed = case.linear.get(names)
+    added = _added_values(case, reference, names, weighed) if weighed is not None else {}
+    for m in members:
+        if isinstance(m, Candidate) and m.name not in reference.names:
+            start = added.get(m.name, np.zeros(len(m.keys)))
+            values |= first_values(m, case.signatures[m.name], start)
+    values = {key: values[key] for m in members for key in m.keys}
+    promised = weighed.log_evidence if weighed is not None and names != reference.names else None
+    found = refit(case.problem, case.prepared.model, reference, members, values, _steps(members, values), promised)
+    case.known[names] = found
+    return found
+
+
+def _added_values(case: Investigation, reference: Hypothesis, names: Names, weighed: Weighed) -> dict[str, Float]:
+    """Linear estimates, in units of the priors' widths, of what a subset adds to its reference."""
+    terms = terms_beside(case, reference)
+    out, place = {}, len(reference.fitted.free)
+    for term in terms:
+        if term.name in names:
+            out[term.name] = weighed.values[place : place + term.tau.size]
+            place += term.tau.size
+    return out
+
+
+def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
+    """What the hold-out says of other hypotheses: ln of its probability over that with what stands.
+
+    The effects stay as they were found, the nuisances of the hold-out are its own.
+    """
+    if case.held is None:
+        return
+    nominal = case.prepared.model
+    problem, _ = case.held.settled(named_model(nominal, case.standing))
+
+    def log_probability(found: Hypothesis) -> float:
+        model = named_model(nominal, found)
+        there = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
+        return weigh(linear_model(problem, there), ()).log_evidence
+
+    asked = [h for h in others if h.names not in case.told and h is not case.standing]
+    if asked:
+        stands = log_probability(case.standing)
+        case.told |= {h.names: log_probability(h) - stands for h in asked}
 
 
 def rebase(case: Investigation, say: Say) -> None:
     """Predict and weigh anew at the model found so far, until it stands: variances grow with the effect."""
-    keys = [key for found in case.named for key in found.candidate.keys]
-    drawn = any(found.candidate.effect.rare for found in case.named)
-    for turn in range(MAX_REBASES):
-        model = named_model(case, case.named, case.fitted)
-        if turn == 0:
-            model = model.with_values(dict(case.named[-1].values))
+    standing = case.standing
+    keys = [key for m in standing.members for key in m.keys]
+    drawn = any(m.effect.rare for m in standing.effects)
+    for _ in range(MAX_REBASES):
+        model = named_model(case.prepared.model, case.standing)
         say("simulating the plan with the effects named so far")
         seeds = SPECIMEN_SEEDS if drawn else DERIVATIVE_SEEDS
-        problem = case.prepared.problem_for(model, seeds=seeds, values=far_values(case.fitted))
-        problem.columns.update(case.problem.columns)
         before = case.fitted
-        case.fitted = fit(problem, Point(model, before.point.values), before.free)
+        problem = case.prepared.problem_for(model, seeds=seeds, values=far_values(before))
+        problem.columns.update(case.problem.columns)
         case.problem = problem
+        case.standing = hypothesis(problem, standing.members, fit(problem, Point(model, before.point.values), before.free))
         if all(_shift(before, case.fitted, key) < STANDS for key in keys):
             break
+    case.known, case.told = {case.standing.names: case.standing}, {}
+    case.rough.clear()
 
 
 def _shift(before: Fit, after: Fit, key: str) -> float:
     """How far a parameter moved, in the larger of both standard deviations."""
     (old, old_sigma), (new, new_sigma) = before.value(key), after.value(key)
     return abs(new - old) / max(old_sigma, new_sigma, 1e-300)
-
-
-def named_model(case: Investigation, named: Sequence[Refit], fitted: Fit) -> CameraModel:
-    """The nominal model with effects at the values of a fit."""
-    model = case.prepared.model
-    for found in named:
-        parameters = zip(found.candidate.parameters, found.candidate.keys, strict=True)
-        values = {p.name: fitted.value(key)[0] for p, key in parameters}
-        model = model.with_effect(found.candidate.effect.changed(**values))
-    return model

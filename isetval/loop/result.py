@@ -88,7 +88,11 @@ class NextCapture:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Drawn):
-    """The verdict and all that it rests on."""
+    """The verdict and all that it rests on.
+
+    ``probabilities``: that ``nothing`` is missing, and that something ``unknown`` is left beside what is named, of no shape in
+    the catalogue.
+    """
 
     verdict: str
     effects: tuple[NamedEffect, ...]
@@ -103,6 +107,7 @@ class Diagnosis(Drawn):
     notes: tuple[str, ...] = ()
     holdout_gain: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    probabilities: Mapping[str, float] = field(default_factory=dict)
 
     def headline(self) -> str:
         """The verdict and what it names."""
@@ -151,6 +156,7 @@ class Diagnosis(Drawn):
             ],
             "gate": dict(self.gate),
             "holdout": dict(self.holdout_gain),
+            "probabilities": dict(self.probabilities),
             "notes": list(self.notes),
             "settings": dict(self.settings),
         }
@@ -168,7 +174,7 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         "equivalent": list(effect.equivalent),
         "present_in_model": effect.present,
         "dchi2": effect.dchi2,
-        "choices": {name: getattr(effect.effect, name) for name in effect.effect.forms},
+        "choices": {name: getattr(effect.effect, name) for name in (*effect.effect.forms, *["light"] * effect.effect.per_light)},
         "forms": [vars(row) | {"free": list(row.free)} for row in effect.forms],
         "fitted_to": list(effect.effect.fitted_to),
     }

@@ -62,8 +62,8 @@ class Score:
     direction: Float
 
 
-def score(frame: Frame, white: Float, *, one_sided: bool = False) -> Score:
-    """The profiled score of whitened signature columns (rows, k)."""
+def score(frame: Frame, white: Float, *, side: float = 0.0) -> Score:
+    """The profiled score of whitened signature columns (rows, k); ``side`` is 1 or -1 for one that only grows or falls."""
     from scipy.stats import chi2
 
     part = frame.profiled(white)
@@ -83,8 +83,8 @@ def score(frame: Frame, white: Float, *, one_sided: bool = False) -> Score:
     sigma[seen] = np.sqrt((vt.T**2) @ (1 / s**2)) / size[seen]
     rank = int(good.sum())
     p_value = float(chi2.sf(dchi2, rank))
-    if one_sided and rank == 1:
-        p_value = p_value / 2 if estimate[seen][0] > 0 else 1.0
+    if side and rank == 1:
+        p_value = p_value / 2 if side * estimate[seen][0] > 0 else 1.0
     return Score(dchi2, rank, p_value, estimate, sigma, u @ along)
 
 

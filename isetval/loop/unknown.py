@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
 from isetval.loop import gaussian
+from isetval.loop.candidates import WIDER
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import prior_weights
 from isetval.loop.problem import Problem
@@ -41,6 +42,7 @@ GROUPS = {
 MAX_PER_GROUP = 40  # labels of one condition: more (every region of a scene) would drown the others in look-elsewhere
 RIPPLES = (1, 2)  # periods from the middle to the corner: fringes of three and more need more radii than plans have
 SURE = 1e-6  # beyond it one session is enough: the chance of a hundred diagnoses with a hundred tests each is 1 %
+STRENGTH = 10.0  # sigmas that something unknown shows with: between what is just seen and what nobody overlooks
 ALLOWED = 1.1**2  # in the variance of a family: 16 replicas know the sigma of a family of 12 rows to 5 %, twice that is allowed
 
 
@@ -175,6 +177,22 @@ def findings(
     return out
 
 
+def unknown_odds(problem: Problem, frame: Frame, classes: int) -> float:
+    """Odds that something of no known shape is left over, as a member of the sum beside ``classes`` others.
+
+    Each of M patterns has 1/M of the prior odds of one effect, and an amplitude with the prior of a strength of `STRENGTH`
+    sigmas: ``ln B = g/2 S^2/(1 + S^2) - ln(1 + S^2)/2`` where chi2 falls by g at most.
+    """
+    from scipy.special import logsumexp
+
+    gains = np.array([along**2 / square for along, square in _scored(problem, frame).values()])
+    if not gains.size:
+        return 0.0
+    share = STRENGTH**2 / (1 + STRENGTH**2)
+    log_odds = logsumexp(share * gains / 2) - np.log1p(STRENGTH**2) / 2 - np.log(gains.size * max(classes, 1))
+    return float(np.exp(min(log_odds, 700.0)))
+
+
 def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01, second: Second | None = None) -> list[str]:
     """Families whose residual scatters more than its covariance, after allowing 10 % in sigma.
 
@@ -207,19 +225,20 @@ def _family_squares(problem: Problem, residual: Float) -> dict[str, tuple[float,
     return out
 
 
-def pulled(fits: Sequence[tuple[str, Fit]], *, alpha: float = 0.01) -> list[str]:
+def pulled(fits: Sequence[tuple[str, Fit]], *, alpha: float = 0.01, doubted: Sequence[str] = ()) -> list[str]:
     """Nuisances that stand farther from what the laboratory states than all of them together allow.
 
     ``fits`` are (which captures, their fit).  A pull is at most a unit normal under a true prior, whatever the data
     know of it (Bonferroni over all of them); one beyond that means a wrong prior, or something missing that it answers for.
+    Those of which the sum says that the prior is wrong (``doubted``, by label) were fitted with a wider one and are told.
     """
     from scipy.stats import norm
 
     pulls = [(words, f, v) for words, fit in fits for f, v in zip(fit.free, fit.values, strict=True) if f.is_nuisance and f.prior]
     out = []
     for words, f, value in pulls:
-        pull = (value - f.center) * f.weight
-        if 2 * norm.sf(abs(pull)) * len(pulls) < alpha:
+        pull = (value - f.center) * f.weight * (float(np.hypot(1.0, WIDER)) if f.label in doubted else 1.0)
+        if f.label in doubted or 2 * norm.sf(abs(pull)) * len(pulls) < alpha:
             unit = "" if f.unit == "1" else f" {f.unit}"
             out.append(
                 f"{f.label} stands {pull:+.1f} prior sigmas off ({value:.3g}{unit}, {words}): the prior, or what it answers for"

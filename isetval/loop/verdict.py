@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from isetval.camera.model import CameraModel
-from isetval.loop.candidates import Signature
+from isetval.loop.candidates import Doubt, Signature
 from isetval.loop.comparison import captures_of, ladder_rows
+from isetval.loop.evidence import CLOSE_LOG_ODDS, least_chi2
 from isetval.loop.investigation import Investigation, named_model, second_session
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter
-from isetval.loop.score_test import cosine
+from isetval.loop.score_test import cosine, make_frame
 from isetval.loop.unknown import Finding, family_excess, misfit, pulled
 
 Say = Callable[[str], None]
+SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
 
 def account_of(
@@ -25,7 +29,8 @@ def account_of(
     """Everything that an investigation found; ``more`` also searches the next captures."""
     prepared, held = case.prepared, case.held
     nominal = prepared.model
-    model, effects = _model_with(case)
+    like = _likenesses(case)
+    model, effects = _model_with(case, like)
     excess = family_excess(case.problem, case.fitted.residual, alpha=alpha, second=second_session(case)) + _against_priors(
         case, alpha
     )
@@ -37,11 +42,11 @@ def account_of(
     if held is not None:
         ladder += tuple(ladder_rows(held, models))
         confirm = _confirm(held, models)
-    if more and case.named:
+    if more and effects:
         say("searching captures that tell the closest candidates apart")
-    captures = tuple(next_captures(case.problem, case.fitted, _pairs(case))) if more and case.named else ()
+    captures = tuple(next_captures(case.problem, case.fitted, _pairs(case, like))) if more and effects else ()
     return Diagnosis(
-        verdict=_verdict(case, leftovers, excess, confirm),
+        verdict=_verdict(like, bool(leftovers or excess), confirm),
         effects=tuple(effects),
         candidates=tuple(sorted(case.rows, key=lambda row: row.p_corrected)),
         unobservable=case.unobservable,
@@ -53,30 +58,67 @@ def account_of(
         model=model,
         notes=(*prepared.table.notes, *case.remarks),
         holdout_gain=confirm,
+        probabilities=_probabilities(case),
         settings={"alpha": alpha, "replicas": case.problem.base.replicas, "metrics": int(case.problem.keep.size)},
     )
 
 
-def _pairs(case: Investigation) -> list[tuple[Signature, Signature]]:
+def _probabilities(case: Investigation) -> dict[str, float]:
+    """That nothing is missing, and that something of no known shape is, beside what stands."""
+    known = 1 / (1 + case.unknown)
+    return {"nothing": case.table.nothing * known, "unknown": 1 - known}
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """What else could be meant by a named effect: ``rivals`` explain the data nearly as well, ``alike`` any data."""
+
+    rivals: tuple[str, ...]
+    alike: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them, each once."""
+        return tuple(dict.fromkeys([*self.rivals, *self.alike]))
+
+
+def _likenesses(case: Investigation) -> dict[str, Likeness]:
+    """Of every named effect: what may stand in its place in the sum, and what shows alike whatever is measured."""
+    frame, white, logs = make_frame(case.fitted), case.white(), case.table.logs
+    stands, out = case.standing.names, {}
+    others = [c.name for c in case.candidates if c.name not in (*stands, *case.unobservable)]
+    klass = {c.name: c.klass for c in case.candidates}
+    best = logs.get(stands, case.score(case.standing))
+    for name in (m.name for m in case.standing.effects):
+        rest = stands - {name}
+        other = [o for o in others if klass[o] != klass[name]]
+        near = {o: logs[rest | {o}] for o in other if logs.get(rest | {o}, -np.inf) > best - CLOSE_LOG_ODDS}
+        alike = dict.fromkeys(klass[o] for o in other if cosine(frame, white[name], white[o]) > SAME_RHO)
+        rivals = dict.fromkeys(klass[o] for o in sorted(near, key=lambda o: -near[o]))
+        out[name] = Likeness(tuple(rivals), tuple(alike))
+    return out
+
+
+def _pairs(case: Investigation, like: Mapping[str, Likeness]) -> list[tuple[Signature, Signature]]:
     """The named effects against what is closest to them."""
-    frame = case.nominal_frame
-    white = {name: case.problem.whitened(s.columns) for name, s in case.signatures.items()}
+    frame, white = case.nominal_frame, case.white()
+    klass = {c.name: c.klass for c in case.candidates}
     out = []
-    for best, others in zip(case.named, case.equivalent, strict=True):
-        name = best.candidate.name
+    for name, others in like.items():
         rated = sorted(
-            ((cosine(frame, white[name], white[o]), o) for o in white if o != name and o not in case.unobservable), reverse=True
+            ((cosine(frame, white[name], white[o]), o) for o in white if klass[o] != klass[name] and o not in case.unobservable),
+            reverse=True,
         )
-        wanted = list(dict.fromkeys([*others, *(o for rho, o in rated[:2] if rho > 0.5)]))
+        said = [o for o in white if klass[o] in others.names]
+        wanted = list(dict.fromkeys([*said, *(o for rho, o in rated[:2] if rho > 0.5)]))
         out += [(case.signatures[name], case.signatures[o]) for o in wanted[:3]]
     return out
 
 
-def _model_with(case: Investigation) -> tuple[CameraModel, list[NamedEffect]]:
+def _model_with(case: Investigation, like: Mapping[str, Likeness]) -> tuple[CameraModel, list[NamedEffect]]:
     """The nominal model with the named effects at their fitted values, and their description."""
     model, effects = case.prepared.model, []
-    for best, chance, others in zip(case.named, case.named_posteriors, case.equivalent, strict=True):
-        candidate = best.candidate
+    for candidate in case.standing.effects:
         values = {key: case.fitted.value(key) for key in candidate.keys}
         named = zip(candidate.parameters, candidate.keys, strict=True)
         effect = candidate.effect.changed(**{p.name: values[key][0] for p, key in named})
@@ -86,16 +128,19 @@ def _model_with(case: Investigation) -> tuple[CameraModel, list[NamedEffect]]:
             p.name: NamedParameter(*values[key], p.unit, float(nominal))
             for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
         }
+        others = like[candidate.name].names
+        alike = {candidate.klass, *others}
+        chance, low, high = case.table.of_class(*(c.name for c in case.candidates if c.klass in alike))
         effects.append(
             NamedEffect(
-                candidate.name,
+                candidate.klass,
                 parameters,
-                chance[0],
-                chance[1:],
+                chance,
+                (low, high),
                 others,
                 effect,
                 candidate.present,
-                best.dchi2,
+                _fall_of_chi2(case, candidate.name),
                 case.forms.get(candidate.name, ()),
             )
         )
@@ -104,15 +149,22 @@ def _model_with(case: Investigation) -> tuple[CameraModel, list[NamedEffect]]:
     return model, effects
 
 
+def _fall_of_chi2(case: Investigation, name: str) -> float:
+    """By how much chi2 falls with an effect, the others in."""
+    without = case.known.get(case.standing.names - {name})
+    return least_chi2(without.fitted) - least_chi2(case.fitted) if without is not None else 0.0
+
+
 def _against_priors(case: Investigation, alpha: float) -> list[str]:
     """Pulls of the laboratory's unknowns that are too long, and a hold-out that does not fit, under the named model."""
     fits = [("the captures used", case.fitted)]
     words: list[str] = []
     if case.held is not None:
-        problem, fitted = case.held.settled(named_model(case, case.named, case.fitted))
+        problem, fitted = case.held.settled(named_model(case.prepared.model, case.standing))
         fits.append(("the hold-out", fitted))
         words = misfit("the metrics of the hold-out", problem, fitted, alpha=alpha)
-    return pulled(fits, alpha=alpha) + words
+    doubted = [m.parameter.label for m in case.standing.members if isinstance(m, Doubt)]
+    return pulled(fits, alpha=alpha, doubted=doubted) + words
 
 
 def _captures(case: Investigation) -> tuple[str, ...]:
@@ -122,17 +174,19 @@ def _captures(case: Investigation) -> tuple[str, ...]:
 
 
 def _confirm(held: Prepared, models: Sequence[CameraModel]) -> dict[str, Any]:
-    """chi2 of the hold-out under each model with the nominal weights, its own nuisances refitted, the effects frozen."""
-    costs = [held.chi2(m, weights=models[0]) for m in models]
+    """chi2 of the hold-out under each model, its own nuisances refitted, the effects frozen.
+
+    Both with the weights of the last model: with those of a camera without hot pixels, say, a few would outweigh all the rest.
+    """
+    costs = [held.chi2(m, weights=models[-1]) for m in models]
     return {"chi2": costs, "gain": costs[0] - costs[-1], "metrics": int(held.problem.keep.size)}
 
 
-def _verdict(case: Investigation, leftovers: Sequence[Finding], excess: Sequence[str], confirm: Mapping[str, Any]) -> str:
-    left = bool(leftovers or excess)
-    if not case.named:
+def _verdict(like: Mapping[str, Likeness], left: bool, confirm: Mapping[str, Any]) -> str:
+    if not like:
         return "unexplained" if left else "consistent"
     if confirm and confirm["gain"] <= 0:
         return "unexplained" if left else "partial"
     if left:
         return "partial"
-    return "ambiguous" if any(case.rivals) else "attributed"
+    return "ambiguous" if any(o.rivals for o in like.values()) else "attributed"

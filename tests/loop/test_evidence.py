@@ -1,31 +1,41 @@
 """Posteriors and their dependence on the width of the priors, by hand."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from isetval.loop.evidence import PROBABILITY_CAP, class_posterior, posteriors
+from isetval.loop.posterior import Posterior
+
+NOTHING, A, B, BOTH = frozenset(), frozenset("a"), frozenset("b"), frozenset("ab")
+LOGS = {NOTHING: 0.0, A: 2.0, B: 1.0, BOTH: -1.0}
+FREED = {NOTHING: 0, A: 2, B: 1, BOTH: 3}
 
 
-def candidate(log_evidence, parameters=1):
-    return SimpleNamespace(log_evidence=log_evidence, candidate=SimpleNamespace(parameters=("p",) * parameters))
+def weights(width=1.0):
+    return {s: np.exp(LOGS[s]) / width ** FREED[s] for s in LOGS}
 
 
-def test_posterior_is_bayes_rule_with_prior_odds_of_one_to_the_number_of_candidates():
-    # two candidates of 50 with evidence ratios e^6 and e^4 against "nothing is missing"
-    weights = np.array([1.0, np.exp(6) / 50, np.exp(4) / 50])
-    np.testing.assert_allclose(posteriors([6.0, 4.0], 50), weights[1:] / weights.sum(), rtol=1e-12)
+def test_an_effect_has_the_probability_of_all_subsets_that_hold_it():
+    w = weights()
+    found = Posterior(LOGS, FREED)
+    assert found.of("a") == pytest.approx((w[A] + w[BOTH]) / sum(w.values()), rel=1e-12)
+    assert found.of("a", "b") == pytest.approx(1 - w[NOTHING] / sum(w.values()), rel=1e-12)
+    assert found.nothing == pytest.approx(w[NOTHING] / sum(w.values()), rel=1e-12)
 
 
-def test_posterior_is_never_stated_above_the_cap():
-    assert posteriors([400.0, 1.0], 50)[0] == PROBABILITY_CAP
+def test_look_alikes_that_share_the_probability_count_together():
+    """Against exactly b: everything but nothing."""
+    w = weights()
+    expected = np.log((w[A] + w[B] + w[BOTH]) / w[B])
+    assert Posterior(LOGS, FREED).log_rest(B) == pytest.approx(expected, rel=1e-12)
 
 
 def test_three_times_wider_priors_cost_ln_3_for_each_parameter():
-    refits = [candidate(2.0, 2), candidate(1.0, 1)]
-    weights = {k: np.array([1.0, np.exp(2) / k**2, np.exp(1) / k]) / np.array([1, 50, 50]) for k in (1 / 3, 1.0, 3.0)}
-    both = {k: (w[1] + w[2]) / w.sum() for k, w in weights.items()}
-    value, low, high = class_posterior(refits, [0, 1], 50)
-    assert value == pytest.approx(both[1.0], rel=1e-12)
-    assert (low, high) == pytest.approx((both[3.0], both[1 / 3]), rel=1e-12)
+    by_width = {k: weights(k) for k in (1 / 3, 1.0, 3.0)}
+    a = {k: (w[A] + w[BOTH]) / sum(w.values()) for k, w in by_width.items()}
+    value, low, high = Posterior(LOGS, FREED).of_class("a")
+    assert value == pytest.approx(a[1.0], rel=1e-12)
+    assert (low, high) == pytest.approx((min(a.values()), max(a.values())), rel=1e-12)
+
+
+def test_a_posterior_may_be_stated_as_sure_as_it_is():
+    assert Posterior({NOTHING: 0.0, A: 400.0}, {NOTHING: 0, A: 1}).of("a") > 1 - 1e-12

@@ -71,3 +71,18 @@ def test_radial_fringes_are_described_as_ripples():
     wave = np.sin(2 * np.pi * 2 * RADIUS_MM / RADIUS_MM[-1])
     frame = Frame(np.sqrt(60.0) * wave / np.linalg.norm(wave), np.zeros((N, 0)), N)
     assert findings(problem(), frame)[0].words == "flat_mean ripples along field radius, 2 periods (sine)"
+
+
+def test_the_odds_of_something_unknown_are_in_the_sum():
+    """One pattern of gain g among M, in closed form; a quiet residual leaves the prior."""
+    from isetval.loop.unknown import STRENGTH, _scored, unknown_odds
+
+    def odds(gain):
+        return unknown_odds(problem(), Frame(slope(gain), np.zeros((N, 0)), N), 40)
+
+    patterns = _scored(problem(), Frame(slope(200.0), np.zeros((N, 0)), N))
+    gains = np.array([along**2 / square for along, square in patterns.values()])
+    best = np.exp(gains.max() / 2 * STRENGTH**2 / (1 + STRENGTH**2)) / np.sqrt(1 + STRENGTH**2) / (gains.size * 40)
+    alike = np.sum(gains > gains.max() - 1e-6)  # in proportion and by sigma are one pattern where all values are equal
+    assert odds(200.0) == pytest.approx(alike * best, rel=1e-3)
+    assert odds(0.0) == pytest.approx(1 / (40 * np.sqrt(1 + STRENGTH**2)), rel=1e-9)

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from isetval.app.cli.tables import text_table
-from isetval.app.words import effect_words, relative_words, state_of, verdict_words, with_sigma
+from isetval.app.words import effect_words, probability_words, relative_words, state_of, verdict_words, with_sigma
 
 FITTED = {
     "prediction": "nothing was fitted to these captures",
     "calibration": "an effect of one of these models was fitted to these captures",
 }
+
+CHANCES = {"nothing": "nothing is missing", "unknown": "something of no known shape is left"}
 
 
 def gate_line(gate: Mapping[str, Any]) -> str:
@@ -132,8 +134,12 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
         also = f"; these captures cannot tell it from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
         low, high = effect.get("posterior_range", (effect["posterior"],) * 2)
         scan = f" ({low:.2f} to {high:.2f} with prior widths 3 times wider or narrower)" if high - low > 0.01 else ""
-        lines.append(f"    posterior {effect['posterior']:.3f}{scan}{also}")
+        lines.append(f"    posterior {probability_words(effect['posterior'], 3)}{scan}{also}")
         lines += _form_lines(effect)
+    chances = result.get("probabilities") or {}
+    if chances:
+        said = ", ".join(f"{words} {probability_words(chances[key], 3)}" for key, words in CHANCES.items() if key in chances)
+        lines.append(f"  probability that {said}")
     if result["leftover"]:
         lines.append(f"  left over: {result['leftover']}")
     lines += _candidate_lines(result["candidates"])
@@ -177,7 +183,7 @@ def demo_lines(result: Mapping[str, Any]) -> list[str]:
     lines = ["", f"# verdict: {diagnosis['verdict']} - {verdict_words(diagnosis)}"]
     for effect in diagnosis["effects"]:
         also = f"; not to be told from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
-        lines.append(f"  {effect_words(effect)} (posterior {effect['posterior']:.2f}{also})")
+        lines.append(f"  {effect_words(effect)} (posterior {probability_words(effect['posterior'])}{also})")
     if diagnosis["leftover"]:
         lines.append(f"  left over: {diagnosis['leftover']}")
     lines += ["", *ladder_table(result["after"]["ladder"]), ""]

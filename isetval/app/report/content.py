@@ -9,7 +9,16 @@ from typing import Any
 from isetval.app.report import charts
 from isetval.app.report.family_plots import family_plot
 from isetval.app.report.form_plot import form_plot
-from isetval.app.words import VERDICT_WORDS, effect_words, relative_words, shortfall_words, state_of, verdict_words, with_sigma
+from isetval.app.words import (
+    VERDICT_WORDS,
+    effect_words,
+    probability_words,
+    relative_words,
+    shortfall_words,
+    state_of,
+    verdict_words,
+    with_sigma,
+)
 
 Row = Mapping[str, Any]
 SYMBOL = {"agrees": "✓", "doubtful": "?", "fails": "✗", "unknown": "–"}
@@ -182,7 +191,7 @@ def _missing(diagnosis: Mapping[str, Any] | None, demo: Mapping[str, Any] | None
     named = [
         {
             "words": effect_words(e, sign="±"),
-            "posterior": f"{e['posterior']:.2f}",
+            "posterior": probability_words(e["posterior"]),
             "equivalent": [n.replace("_", " ") for n in e["equivalent"]],
             "form": form_plot(e),
             "command": f"isetval add MODEL {e['name']} --from diagnosis.json -o MODEL2",

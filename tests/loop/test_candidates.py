@@ -1,0 +1,50 @@
+"""What is a candidate: effects that may concern one light only are candidates for each."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.camera.chain import ShotSetup, mean_electrons
+from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
+from isetval.loop.candidates import candidates_for, lights_of
+
+
+@pytest.fixture(scope="module")
+def model():
+    return isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+
+
+def test_a_spectrum_may_be_wrong_for_one_light(model):
+    shots = (Shot("a", "flat", light="sphere"), Shot("b", "flat", light="tube"), Shot("c", "dark"))
+    plan = Campaign("p", shots, lights={name: Light(name, Spectrum.flat(0.01)) for name in ("sphere", "tube")})
+    assert lights_of(plan) == ("sphere", "tube")
+    found = [c for c in candidates_for(model, lights_of(plan)) if c.klass == "spd_mismatch"]
+    assert [c.effect.light for c in found] == ["", "sphere", "tube"]
+    assert len({c.name for c in found}) == 3
+    assert {c.keys for c in found} == {("spd_mismatch.tilt", "spd_mismatch.spike")}
+    assert sum(c.prior_weight for c in found) == pytest.approx(1.0)
+
+
+def test_each_touches_its_own_light_only(model):
+    found = {c.effect.light: c for c in candidates_for(model, ("sphere", "tube")) if c.klass == "spd_mismatch"}
+    light = Light("tube", Spectrum.flat(0.01))
+    setup = ShotSetup(Shot("b", "flat", light="tube", exposure=Exposure(0.01), window=(0, 0, 8, 8)), light)
+    seen = {}
+    for name, candidate in found.items():
+        tilted = candidate.model_with(model).with_values({"spd_mismatch.tilt": 0.1})
+        seen[name] = mean_electrons(tilted, setup)
+    assert np.array_equal(seen["sphere"], mean_electrons(model, setup))
+    assert np.array_equal(seen[""], seen["tube"])
+    assert not np.array_equal(seen["tube"], seen["sphere"])
+
+
+def test_one_light_needs_no_forms(model):
+    (only,) = [c for c in candidates_for(model, ("sphere",)) if c.klass == "spd_mismatch"]
+    assert only.name == "spd_mismatch"
+    assert only.prior_weight == 1.0
+    assert replace(only, prior_weight=0.5).klass == "spd_mismatch"

@@ -1,0 +1,140 @@
+"""The search on problems that are linear in three parameters: what stands, what gives way, what the hold-out says."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.core.campaign import Campaign
+from isetval.loop.candidates import Signature, candidates_for
+from isetval.loop.detective import ODDS, _better, _proposals
+from isetval.loop.evidence import hypothesis, least_chi2
+from isetval.loop.fit import fit
+from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
+from isetval.loop.posterior import NOTHING
+from isetval.loop.prediction import Base, Point
+from isetval.loop.problem import Problem
+from isetval.loop.score_test import make_frame
+
+ROWS = 6
+MIXED = np.array([1.0, 1.0, 0.5, 0, 0, 0]) / 1.5
+COLUMNS = {
+    "dark_current.rate_e_per_s": np.eye(ROWS)[0],
+    "temporal_row_noise.sigma_dn": np.eye(ROWS)[1],
+    "black_level.offset_dn": MIXED,
+}
+UNIT = 0.01  # parameter units per sigma: well within every prior
+
+
+class LinearCamera:
+    """Metrics that are linear in three parameters: predictions in closed form."""
+
+    def __init__(self, plan, nominal):
+        self.plan, self.nominal = plan, nominal
+        self.table = SimpleNamespace(metrics=[SimpleNamespace(family="f")] * ROWS)
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        return [
+            sum((self.offset(p.model, key) / UNIT * column for key, column in COLUMNS.items()), np.zeros(ROWS)) for p in points
+        ]
+
+    def offset(self, model, key):
+        name = key.split(".")[0]
+        standing = self.nominal.value(key) if self.nominal.effect(name) is not None else 0.0
+        return (model.value(key) if model.effect(name) is not None else standing) - standing
+
+
+def case_of(measured):
+    model = isetval.load_model(isetval_data() / "camera.toml")
+    wanted = {c.name: c for c in candidates_for(model)}
+    chosen = [wanted[key.split(".")[0]] for key in COLUMNS]
+    plan = Campaign("plan", ())
+    base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
+    problem = Problem(
+        LinearCamera(plan, model), Point(model), base, measured, np.arange(ROWS), np.eye(ROWS), np.zeros(ROWS), np.eye(ROWS)
+    )
+    fitted = fit(problem, Point(model), ())
+    signatures = {
+        c.name: Signature(c, (column / UNIT)[:, None], np.array([UNIT]))
+        for c, column in zip(chosen, COLUMNS.values(), strict=True)
+    }
+    nothing = hypothesis(problem, (), fitted)
+    case = Investigation(SimpleNamespace(model=model), None, problem, nothing, tuple(chosen), (), signatures, make_frame(fitted))
+    case.known[NOTHING] = nothing
+    weigh_neighbours(case)
+    return case
+
+
+def isetval_data():
+    from isetval.core.toml import data_folder
+
+    return data_folder() / "pixel4a"
+
+
+@pytest.fixture
+def case():
+    return case_of(10.0 * np.eye(ROWS)[0] + 6.0 * np.eye(ROWS)[1])
+
+
+def stand(case, *names):
+    """Let a hypothesis stand, as the search does, and make the sum about it."""
+    case.standing = fitted_jointly(case, frozenset(names))
+    case.known = {case.standing.names: case.standing}
+    weigh_neighbours(case)
+
+
+def quiet(_):
+    pass
+
+
+def test_the_first_fits_are_of_single_effects(case):
+    assert all(len(names) == 1 for names in _proposals(case, first=True))
+
+
+def test_the_true_pair_replaces_the_effect_that_answered_for_both(case):
+    stand(case, "black_level")
+    better = _better(case, quiet, {NOTHING, case.standing.names}, first=False)
+    assert better.names == {"dark_current", "temporal_row_noise"}
+    assert better.values["dark_current.rate_e_per_s"] == pytest.approx(
+        case.prepared.model.value("dark_current.rate_e_per_s") + 10 * UNIT, abs=UNIT
+    )
+    assert better.fitted.chi2 < 5
+
+
+def test_the_true_pair_stays(case):
+    stand(case, "dark_current", "temporal_row_noise")
+    assert _better(case, quiet, {case.standing.names}, first=False) is None
+    assert case.table.of("dark_current") > 0.99
+
+
+def test_a_member_that_is_not_needed_is_taken_out():
+    case = case_of(10.0 * np.eye(ROWS)[0])
+    stand(case, "dark_current", "temporal_row_noise")
+    assert _better(case, quiet, {case.standing.names}, first=False).names == {"dark_current"}
+
+
+@pytest.mark.parametrize(("said", "named"), [(-6.0, False), (6.0, True)])
+def test_what_the_hold_out_says_adds_to_the_evidence(monkeypatch, said, named):
+    """An effect of even odds is named where a second session is e^6 times as probable with it, and not where e^6 times less."""
+    import isetval.loop.detective as detective
+
+    case = case_of(3.4 * np.eye(ROWS)[0])
+    single = fitted_jointly(case, frozenset({"dark_current"}))
+    assert 0 < case.score(single) - case.score(case.standing) < np.log(ODDS)
+    case.held = object()
+    monkeypatch.setattr(detective, "ask_holdout", lambda case, found: case.told.update({h.names: said for h in found}))
+    better = _better(case, quiet, {NOTHING}, first=True)
+    assert (better is not None) == named
+
+
+def test_a_part_of_what_stands_is_as_likely_as_if_it_were_fitted(case):
+    """Linear in everything: linearised where the whole stands, a part has the evidence of its own fit; chi2 too."""
+    stand(case, "dark_current", "temporal_row_noise")
+    one = frozenset({"dark_current"})
+    rough = case.known[one]
+    assert one in case.rough
+    full = fitted_jointly(case, one)
+    assert one not in case.rough
+    assert rough.log_evidence == pytest.approx(full.log_evidence, abs=1e-6)
+    assert least_chi2(rough.fitted) == pytest.approx(full.fitted.chi2, abs=1e-3)
