@@ -45,7 +45,7 @@ class Posterior:
 
     def of(self, *names: str, width: float = 1.0) -> float:
         """Probability that one or more of these are missing, whatever else is."""
-        return float(sum(p for s, p in self.probabilities(width).items() if s & set(names)))
+        return min(1.0, float(sum(p for s, p in self.probabilities(width).items() if s & set(names))))
 
     def of_class(self, *names: str) -> tuple[float, float, float]:
         """Probability of a class, and its range when all prior widths are three times narrower or wider."""
