@@ -148,4 +148,4 @@ def _effect(entry: Any, path: Path, place: int) -> Effect:
     told = {key for key in _STEP_KEYS if isinstance(entry.get(key), Mapping)}
     values = {key: value for key, value in entry.items() if key != "name" and key not in told}
     texts(values, "fitted_to", where)
-    return make_effect(entry["name"], values, where, path.parent)
+    return make_effect(text(entry, "name", where), values, where, path.parent)

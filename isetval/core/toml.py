@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -149,4 +150,15 @@ def numbers(table: Mapping[str, Any], key: str, where: str, *, lengths: Iterable
     fits = isinstance(value, list) and len(value) in wanted
     if not fits or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value or []):
         raise InputError(f"{where}: {key} is {value!r}; it needs a list of {' or '.join(map(str, wanted))} numbers")
-    return tuple(_float(v, key, where) for v in value or [])
+    found = tuple(_float(v, key, where) for v in value or [])
+    if not all(map(math.isfinite, found)):
+        raise InputError(f"{where}: {key} is {value!r}; it needs finite numbers")
+    return found
+
+
+def tables(table: Mapping[str, Any], key: str, where: str) -> list[Any]:
+    """A list of tables of a table, none where there is none."""
+    value = table.get(key, [])
+    if not isinstance(value, list):
+        raise InputError(f"{where}: {key} is {value!r}; write each as its own [[...{key}]] table")
+    return value

@@ -22,6 +22,7 @@ from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descri
 from isetval.files.metric_file import Reading, read_metrics
 from isetval.files.target_file import read_target
 
+MOST_FRAMES = 100_000  # of a shot: a typing error of more would be simulated for years
 RECENT_PIXELS = 100_000_000  # 200 MB: eight frames of 12 MP, the files of a shot that is looked at in parts
 _KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "notes")
 METRIC_KEYS = ("metric", "column", "sigma", "edge", "correlation_length", "covariance")
@@ -261,7 +262,9 @@ def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> 
     if target and target not in targets:
         raise InputError(f"{where}: target {target!r} is not described; the file has: {', '.join(targets) or 'none'}")
     frames = entry.get("frames", max(1, len(files)))
-    if not isinstance(frames, int) or (files and frames != len(files)):
+    if not isinstance(frames, int) or isinstance(frames, bool) or not 1 <= frames <= MOST_FRAMES:
+        raise InputError(f"{where}: frames is {frames!r}; a shot has 1 to {MOST_FRAMES} frames")
+    if files and frames != len(files):
         raise InputError(f"{where}: frames is {frames!r} and it names {len(files)} files; they must agree")
     name = text(entry, "name", where) or text(entry, "setup", where) or text(entry, "role", where)
     try:

@@ -101,7 +101,7 @@ def numbers(cells: Sequence[str]) -> list[float] | None:
     """The cells as numbers; None if one is none."""
     try:
         return [float(cell) for cell in cells]
-    except ValueError:
+    except (OverflowError, TypeError, ValueError):
         return None
 
 

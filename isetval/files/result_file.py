@@ -178,8 +178,8 @@ class NextCapture(msgspec.Struct, frozen=True):
 
     capture: str
     separates: tuple[str, str]
-    rho_before: Number = None
-    rho_after: Number = None
+    rho_before: float
+    rho_after: float
 
 
 class Gate(msgspec.Struct, frozen=True):
@@ -281,8 +281,10 @@ class Commitment(msgspec.Struct, frozen=True):
     commitment: str
 
 
-def read_result(path: Path | str) -> dict[str, Any]:
+def read_result(path: Path | str, *, filled: bool = False) -> dict[str, Any]:
     """A result file of the command line, held against the schema of what it says it is.
+
+    ``filled``: with the parts that may be left out in their places.
 
     Raises
     ------
@@ -293,7 +295,7 @@ def read_result(path: Path | str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no result of isetval (a JSON object is needed)")
     schema = _schema(content)
-    return content if schema is None else checked(content, schema, path)
+    return checked(content, schema, path, filled=filled)
 
 
 def read_as(path: Path | str, schema: type[msgspec.Struct]) -> dict[str, Any]:
@@ -310,8 +312,8 @@ def read_as(path: Path | str, schema: type[msgspec.Struct]) -> dict[str, Any]:
     return checked(content, schema, path)
 
 
-def checked(content: dict[str, Any], schema: type[msgspec.Struct], path: Path | str) -> dict[str, Any]:
-    """The content if it fits the schema.
+def checked(content: dict[str, Any], schema: type[msgspec.Struct], path: Path | str, *, filled: bool = False) -> dict[str, Any]:
+    """The content if it fits the schema; ``filled`` as `read_result`.
 
     Raises
     ------
@@ -319,14 +321,23 @@ def checked(content: dict[str, Any], schema: type[msgspec.Struct], path: Path | 
         With the place, what was found and what is needed.
     """
     try:
-        msgspec.convert(content, schema)
+        found = msgspec.convert(content, schema)
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: {_sentence(str(error))}; {REMEDY}") from None
+    return dict(_filled(content, msgspec.to_builtins(found))) if filled else content
+
+
+def _filled(content: Any, whole: Any) -> Any:
+    """The content with what only the schema's defaults have."""
+    if isinstance(content, dict) and isinstance(whole, dict):
+        return {**whole, **content, **{key: _filled(content[key], whole[key]) for key in content.keys() & whole.keys()}}
+    if isinstance(content, list) and isinstance(whole, list | tuple):
+        return [_filled(a, b) for a, b in zip(content, whole, strict=True)]
     return content
 
 
-def _schema(content: Mapping[str, Any]) -> type[msgspec.Struct] | None:
-    """The schema of what a result looks like; None for kinds that nobody reads back but as a whole."""
+def _schema(content: Mapping[str, Any]) -> type[msgspec.Struct]:
+    """The schema of what a result looks like."""
     if content.get("kind") == "demo":
         return Shown
     if "verdict" in content:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -202,8 +203,10 @@ def _name_says(rule: str, name: str, where: str) -> tuple[dict[str, float], dict
     if len(rule) > LONGEST_RULE:
         raise InputError(f"{where}: name_rule has {len(rule)} characters; it needs at most {LONGEST_RULE}")
     try:
-        found = re.search(rule, name)
-    except re.error as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what a later Python may read otherwise
+            found = re.search(rule, name)
+    except (re.error, OverflowError, RecursionError) as error:
         raise InputError(f"{where}: name_rule {rule!r} is no regular expression ({error}); correct it") from None
     if found is None:
         remedy = "correct it, or give the file an [[image]] of its own"

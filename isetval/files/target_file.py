@@ -9,7 +9,7 @@ from typing import Any
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target, read_spectra
 from isetval.core.sensor import RoiLike
-from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, text
+from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, tables, text
 
 SEEN_NM = (380.0, 780.0)
 """Bands of a camera model: measured tables go on into the ultraviolet and infrared, where their noise passes 1."""
@@ -83,7 +83,7 @@ def _scene(name: str, entry: Mapping[str, Any], where: str, path: Path) -> Rende
     entry = check_keys(entry, where, known=_SCENE_KEYS, needed=("file",))
     file = named_file(text(entry, "file", where), path.parent)
     lines = []
-    for i, line in enumerate(entry.get("line", []), 1):
+    for i, line in enumerate(tables(entry, "line", where), 1):
         line = check_keys(line, f"{where} line {i}", known=("name", "from", "to"), needed=("from", "to"))
         ends = (*numbers(line, "from", where, lengths=(2,)), *numbers(line, "to", where, lengths=(2,)))
         lines.append((text(line, "name", where, f"line{i}"), *ends))
@@ -93,7 +93,7 @@ def _scene(name: str, entry: Mapping[str, Any], where: str, path: Path) -> Rende
 
 def _patches(entry: Mapping[str, Any], where: str, path: Path, table: Mapping[str, Spectrum]) -> tuple[Patch, ...]:
     patches = []
-    for i, item in enumerate(entry.get("patch", []), 1):
+    for i, item in enumerate(tables(entry, "patch", where), 1):
         place = f"{where} patch {i}"
         item = check_keys(item, place, known=("name", "box", "reflectance"), needed=("box",))
         label = text(item, "name", place, str(i))

@@ -280,11 +280,21 @@ def _numbers(source: Mapping[str, Any], key: str) -> FloatArray:
         values = np.atleast_1d(np.asarray(source[key], dtype=np.float64))
     except KeyError:
         raise InputError(f"pass region ({source.get('method')}): '{key}' is missing") from None
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         raise InputError(f"pass region ({source.get('method')}): '{key}' must be a list of numbers") from None
+    if values.ndim != (2 if key == "rim" else 1) or not values.size:
+        raise InputError(f"pass region ({source.get('method')}): '{key}' must be a list of numbers")
     if not np.isfinite(values).all():
         raise InputError(f"pass region ({source.get('method')}): '{key}' holds values that are not finite")
     return values
+
+
+def _pairs(source: Mapping[str, Any], key: str) -> FloatArray:
+    """The numbers of two lists of equal length, ``keyX`` and ``keyY``, (n, 2)."""
+    x, y = _numbers(source, f"{key}X"), _numbers(source, f"{key}Y")
+    if len(x) != len(y):
+        raise InputError(f"pass region: '{key}X' has {len(x)} numbers and '{key}Y' {len(y)}; they need as many")
+    return np.stack([x, y], axis=1)
 
 
 def region_from_json(source: Mapping[str, Any]) -> PassRegion:
@@ -296,8 +306,8 @@ def region_from_json(source: Mapping[str, Any]) -> PassRegion:
     if method not in ("minimalellipse", "rim"):
         raise InputError(f"pass region: method '{method}' is unknown; minimalellipse, circles and rim can be read")
     positions = _numbers(source, "positions")
-    centers = np.stack([_numbers(source, "centersX"), _numbers(source, "centersY")], axis=1)
+    centers = _pairs(source, "centers")
     if method == "rim":
         return ConvexRegion(positions, centers, _numbers(source, "rim"), distance)
-    radii = np.stack([_numbers(source, "radiiX"), _numbers(source, "radiiY")], axis=1)
+    radii = _pairs(source, "radii")
     return EllipseRegion(positions, centers, radii, distance)

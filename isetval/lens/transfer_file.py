@@ -79,7 +79,7 @@ def _table_from_json(entry: Any, old: Mapping[str, Any]) -> WavelengthTable:
             exponents = np.stack([np.atleast_1d(np.asarray(item[k], np.int64)) for k in ("termr", "termdx", "termdy")], axis=1)
             coefficients = np.atleast_1d(np.asarray(item["coeff"], np.float64))
             name = str(item["outputname"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, OverflowError, TypeError, ValueError):
             raise InputError("a 'poly' entry needs outputname, coeff, termr, termdx, termdy of equal length") from None
         if len(exponents) != len(coefficients) or (exponents < 0).any() or not np.isfinite(coefficients).all():
             raise InputError(f"polynomial {name}: {len(coefficients)} finite coefficients need as many non-negative powers")

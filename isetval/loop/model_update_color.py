@@ -17,6 +17,7 @@ from isetval.core.writing import write_whole
 from isetval.measure.color import SpectralQE
 
 Float = NDArray[np.float64]
+LARGEST = 1e6  # of wavelengths in nm, efficiencies and mixing: a damaged file may hold anything
 KIND = "spectral_qe"
 CHANNELS = "RGB"
 
@@ -78,10 +79,20 @@ def spectral_qe_values(effect: str, result: Mapping[str, Any], where: str) -> Co
     try:
         matrix, sigma, qe, corrected = (np.array(result[key], float) for key in ("matrix", "sigma", "qe", "corrected_qe"))
         grid = np.array(result["wavelength_nm"], float)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, OverflowError, TypeError, ValueError) as error:
         raise InputError(f"{where}: is no whole result of spectral_qe ({error}); write it with save_spectral_qe") from None
-    if matrix.shape != (3, 3) or sigma.shape != (3, 3) or corrected.shape != (grid.size, 3) or qe.shape != corrected.shape:
+    if (
+        grid.ndim != 1
+        or not grid.size
+        or matrix.shape != (3, 3)
+        or sigma.shape != (3, 3)
+        or corrected.shape != (grid.size, 3)
+        or qe.shape != corrected.shape
+    ):
         raise InputError(f"{where}: its matrix, filters and wavelengths do not belong together; write it with save_spectral_qe")
+    largest = max(np.abs(part).max(initial=0.0) for part in (matrix, sigma, qe, corrected, grid))
+    if not largest < LARGEST or not np.diag(matrix).all() or not (np.diff(grid) > 0).all():
+        raise InputError(f"{where}: its matrix, filters or wavelengths cannot be; write it with save_spectral_qe")
     if effect == "quantum_efficiency":
         return _filters(grid, corrected, np.sqrt(qe**2 @ sigma**2), result)
     return _mixing(matrix, sigma) if effect == "spectral_crosstalk" else _gains(matrix, sigma)

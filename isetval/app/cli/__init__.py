@@ -16,6 +16,8 @@ from isetval.core.jsonable import plain
 
 __all__ = ["main"]
 
+COMPUTING = ("measure", "simulate", "compare", "identify", "diagnose", "rerun", "demo", "lens_audit")
+"""Commands whose numbers go through linear algebra."""
 RESULT_SUFFIXES = (".json", ".csv")
 
 
@@ -106,7 +108,13 @@ def _outcome(args: argparse.Namespace, console: Console) -> Outcome:
         from isetval.app.cli.dry_run import dry_run
 
         return dry_run(args, console)
-    outcome: Outcome = args.handler(args, console)
+    if args.handler.__name__ not in COMPUTING:
+        outcome: Outcome = args.handler(args, console)
+        return outcome
+    from isetval.core.threads import one_blas_thread
+
+    with one_blas_thread():  # with more of them sums take another order, and results move with the number of cores
+        outcome = args.handler(args, console)
     return outcome
 
 

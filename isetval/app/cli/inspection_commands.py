@@ -214,7 +214,7 @@ def report(args: argparse.Namespace, console: Console) -> Outcome:
 
     if args.output is None:
         raise InputError("report needs -o PAGE.html: the file to write")
-    results = [read_result(path) for path in args.results]
+    results = [read_result(path, filled=True) for path in args.results]
     console.say("drawing the report")
     write_report(results, args.output)
     lines = [f"report: {Path(args.output).resolve()} ({os.path.getsize(args.output) / 1e3:.0f} kB, opens without network)"]

@@ -24,6 +24,8 @@ def report_html(results: Sequence[Mapping[str, Any]]) -> str:
     InputError
         If none of the results can be drawn.
     """
+    from jinja2 import TemplateError
+
     from isetval.app.report.content import page_content
     from isetval.app.report.pages import rendered
 
@@ -31,7 +33,15 @@ def report_html(results: Sequence[Mapping[str, Any]]) -> str:
     if not known:
         kinds = ", ".join(str(r.get("kind", "unknown")) for r in results) or "nothing"
         raise InputError(f"a report needs results of measure, compare, diagnose or demo; found {kinds}")
-    return rendered("report.html", **page_content(known))
+    try:
+        return rendered("report.html", **page_content(known))
+    except InputError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, TemplateError) as error:
+        raise InputError(
+            f"the results cannot be drawn ({type(error).__name__}: {error}): their numbers or names do not belong together; "
+            "make them again with this version of isetval"
+        ) from None
 
 
 def write_report(results: Sequence[Mapping[str, Any]], path: Path | str) -> Path:

@@ -1,0 +1,67 @@
+"""Every reader of JSON and TOML against damaged files.
+
+    python tests/fuzz/text_campaign.py --files 100000 --seed 1 [-o log.json] [--only model,plan] [--keep DIR]
+
+Counts, the slowest file and every finding are printed as JSON; a file that breaks the rule is kept.
+"""
+
+import argparse
+import collections
+import json
+import resource
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import numpy as np
+from text_mutants import SECONDS, Slow, all_readers, mutant, timed
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--files", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--keep", type=Path, default=Path("/tmp/text_mutants"))
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    rng = np.random.default_rng(args.seed)
+    counts, findings, slowest = collections.Counter(), collections.Counter(), (0.0, "")
+    start = time.process_time()
+    with all_readers() as readers:
+        names = args.only.split(",") if args.only else list(readers.files)
+        for name in names:
+            assert timed(readers, name, readers.files[name][1])[0] == "read", name
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        for number in range(args.files):
+            name = names[number % len(names)]
+            suffix, whole, _ = readers.files[name]
+            data = mutant(whole, suffix, rng)
+            try:
+                word, seconds = timed(readers, name, data)
+            except (Exception, Slow) as error:
+                word, seconds = "broken", 0.0
+                trace = traceback.extract_tb(error.__traceback__)
+                own = [f for f in trace if "/isetval/" in f.filename]
+                where = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else "?"
+                key = f"{name}: {type(error).__name__} at {where}: {str(error)[:80]}"
+                if not findings[key]:
+                    args.keep.mkdir(exist_ok=True)
+                    (args.keep / f"{name.replace(' ', '_')}_{args.seed}_{number}{suffix}").write_bytes(data)
+                findings[key] += 1
+            counts[f"{name}: {word}"] += 1
+            slowest = max(slowest, (seconds, f"{name} {number}"))
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e3
+    result = {"files": args.files, "seed": args.seed, "counts": dict(sorted(counts.items()))}
+    result |= {"findings": dict(findings.most_common()), "slowest_s": slowest[0], "slowest": slowest[1]}
+    result |= {"peak_growth_mb": grown, "cpu_s": round(time.process_time() - start)}
+    text = json.dumps(result, indent=1)
+    print(text)
+    if args.output:
+        args.output.write_text(text + "\n")
+    return int(bool(findings) or slowest[0] > SECONDS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
