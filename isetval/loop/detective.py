@@ -40,6 +40,7 @@ SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked only where they are closer
 FORM_SHARE = 0.5  # share of what the best explains that a wrong form of the right effect explains at least
 BENDS = 0.1  # share of what a single effect explains that its secant may be wrong by
+RANKED = 20  # subsets looked at for what to fit: those after them hold less than one in a hundred
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
 
@@ -202,11 +203,14 @@ def _refitted(case: Investigation, say: Say, *, first: bool) -> list[Hypothesis]
 
 
 def _proposals(case: Investigation, *, first: bool) -> list[Names]:
-    """Subsets that are fitted in full, the most probable first."""
-    logs = case.table.logs
+    """Subsets that are fitted in full, the most probable first: single effects first, later what has one more than it gives up.
+
+    Far from the place of a fit the sum explains what bends by further effects; at the next base they are no longer asked for.
+    """
+    logs, stands = case.table.logs, case.standing.names
     ranked = [n for n in case.table.ranked if (n not in case.known or n in case.rough) and len(n) <= MAX_EFFECTS]
     if not first:
-        return ranked[: 4 * SHORT_LIST]
+        return [n for n in ranked if len(n - stands) <= 1 + len(stands - n)][:RANKED]
     singles = [names for names in ranked if len(names) == 1]
     if not singles:
         return []
