@@ -117,7 +117,7 @@ def identify(
             seen = bool(found.rank and np.any(found.sigma < c.tau))
             if not seen:
                 hidden.append(c.name)
-            sigmas = noncentralities(found.rank, len(made), one_sided=c.one_sided)
+            sigmas = noncentralities(found.rank, len(made), one_sided=bool(c.only_side))
             lengths = np.linalg.norm(frame.profiled(white[c.name]), axis=0)
             for p, sigma, length in zip(c.parameters, found.sigma, lengths, strict=True):
                 half, nearly = (float(s / length) if length > 0 and found.rank else None for s in sigmas)
