@@ -40,6 +40,11 @@ def main(words=None):
 
         calibrate(NOMINAL, options.plan, options.lens)
         return 0
+    if options.predict:
+        from hidden_trials.predicted import predict
+
+        predict(options.plan)
+        return 0
     if options.make:
         return _make(*options.make)
     if not options.sum_up:
@@ -69,6 +74,7 @@ def _options(words):
     parser.add_argument("--sum-up", action="store_true", help="no trials: the page of the rows that are there")
     parser.add_argument("--table", action="store_true", help="print target, measured, n of the stored page")
     parser.add_argument("--calibrate", action="store_true", help="measure how strongly effects stand out in a plan")
+    parser.add_argument("--predict", action="store_true", help="store the confusions that identify predicts for a plan")
     parser.add_argument("--lens", choices=("open", "stopped"), default="open", help="setting of the lens to calibrate")
     parser.add_argument("--make", nargs=2, metavar=("ID", "DIR"), help="write one trial's campaign and its truth")
     return parser.parse_args(words)
@@ -134,6 +140,7 @@ def _rows(path):
 def _sum_up(options):
     from hidden_trials.judge import judged
     from hidden_trials.page import write_page
+    from hidden_trials.predicted import held_against
     from hidden_trials.summary import summary, table_lines
 
     import isetval
@@ -142,7 +149,7 @@ def _sum_up(options):
     if not rows:
         raise SystemExit(f"{options.rows}: no rows yet")
     made = {"isetval": isetval.__version__, "date": datetime.now(UTC).strftime("%Y-%m-%d")}
-    found = {**made, **_sets(rows), **summary(rows)}
+    found = {**made, **_sets(rows), **summary(rows), "confusions": held_against(rows)}
     options.report.parent.mkdir(parents=True, exist_ok=True)
     options.report.with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     write_page(found, options.report)

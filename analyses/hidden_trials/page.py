@@ -25,7 +25,7 @@ def write_page(found, path):
         "<h2>Power</h2>", _svg(_power, found), "<h2>Is the stated posterior true?</h2>", _svg(_reliability, found),
         "<h2>Pulls of fitted parameters</h2>", _svg(_pulls, found),
         "<h2>Families on true models, held out</h2>", _families(found),
-        "<h2>What was said of what</h2>", _confusion(found),
+        "<h2>What was said of what</h2>", _confusion(found), _predicted(found),
         "<h2>Every wrong answer</h2>", _wrong(found),
     ]  # fmt: skip
     head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Hidden effects</title><style>{STYLE}</style>'
@@ -157,6 +157,15 @@ def _confusion(found):
         ("hidden", "first name", "times"),
         [[_cell(c["hidden"]), _cell(c["said"]), _cell(c["n"], "n")] for c in found["confusion"]],
     )
+
+
+def _predicted(found):
+    rows = [
+        [_cell(w["hidden"]), _cell(w["said"]), _cell("below .7" if w["rho"] is None else f"{w['rho']:.3f}", "n"), _cell(w["id"])]
+        for w in found.get("confusions", [])
+    ]
+    words = "<p>Wrong first names, and the cosine of both signatures as <code>identify</code> predicts it for the plan:</p>"
+    return words + _table(("hidden", "said", "rho", "trial"), rows) if rows else ""
 
 
 def _wrong(found):

@@ -201,6 +201,13 @@ def table_lines(found):
         words = f"posterior {b['from']:.2f} to {b['to']:.2f}: stated {b['stated']:.3f}"
         span = f"{100 * b['low']:.1f} to {100 * b['high']:.1f} %"
         lines.append(f"{words:55s} {'within .03':>12s} {100 * b['share']:8.1f} % {span:>16s} {b['n']:5d}")
+    wrong = found.get("confusions", [])
+    if wrong:
+        k = sum(w["rho"] is not None for w in wrong)
+        words = f"{k} of {len(wrong)}"
+        lines.append(
+            f"{'wrong names that identify predicted (rho > .7)':55s} {'>= 90 %':>12s} {words:>10s} {'':>16s} {len(wrong):5d}"
+        )
     gap = found["against_oracle"]
     if gap["n"]:
         words = f"{gap['median_gap']:+.3f} ({gap['largest_gap']:+.3f} at most)"
