@@ -204,10 +204,8 @@ def table_lines(found):
     wrong = found.get("confusions", [])
     if wrong:
         k = sum(w["rho"] is not None for w in wrong)
-        words = f"{k} of {len(wrong)}"
-        lines.append(
-            f"{'wrong names that identify predicted (rho > .7)':55s} {'>= 90 %':>12s} {words:>10s} {'':>16s} {len(wrong):5d}"
-        )
+        words = f"{k} of {len(wrong)}, {sum((w['rho'] or 0) > 0.95 for w in wrong)} above .95"
+        lines.append(f"{'wrong names that identify predicted (rho > .7)':55s} {'>= 90 %':>12s} {words:>27s} {len(wrong):5d}")
     gap = found["against_oracle"]
     if gap["n"]:
         words = f"{gap['median_gap']:+.3f} ({gap['largest_gap']:+.3f} at most)"
