@@ -23,6 +23,7 @@ from isetval.core.toml import (
     resolve_path,
     text,
     texts,
+    whole,
 )
 
 _SENSOR_KEYS = ("rows", "cols", "pixel_um", "cfa", "black_dn", "white_dn", "bits")
@@ -90,7 +91,7 @@ def read_sensor(table: Any, where: str) -> Sensor:
             cfa=text(table, "cfa", where),
             black_dn=table["black_dn"],
             white_dn=number(table, "white_dn", where),
-            bits=table.get("bits") or max(1, int(number(table, "white_dn", where)).bit_length()),
+            bits=table.get("bits") or max(1, whole(table, "white_dn", where, 0).bit_length()),
         )
     except (InputError, TypeError, ValueError) as error:
         raise InputError(f"{where}: {error}") from None

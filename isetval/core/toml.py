@@ -13,6 +13,7 @@ from isetval.core.errors import InputError
 from isetval.core.json_file import check_nest
 
 PACKAGE_PREFIX = "isetval:"
+LONGEST_NAME = 250  # bytes: file systems hold 255 of a name, and a data file names what lies beside it
 
 
 def data_folder() -> Path:
@@ -60,7 +61,7 @@ def inside(folder: Path | str, name: str) -> Path:
     """
     folder = Path(folder)
     where = f"{folder}: the name {name!r}"
-    if not name or "\0" in name:
+    if not name or "\0" in name or len(name.encode("utf-8", "surrogatepass")) > LONGEST_NAME:
         raise InputError(f"{where} is no file name; correct it in the file that holds it")
     path = folder / name
     if Path(name).is_absolute() or ".." in Path(name).parts or not path.resolve().is_relative_to(folder.resolve()):
@@ -117,6 +118,14 @@ def number(table: Mapping[str, Any], key: str, where: str, default: float | None
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where}: {key} is {value!r}; it needs a number")
     return _float(value, key, where)
+
+
+def whole(table: Mapping[str, Any], key: str, where: str, default: int) -> int:
+    """A whole number of a table."""
+    value = number(table, key, where, default)
+    if not value.is_integer():
+        raise InputError(f"{where}: {key} is {value!r}; it needs a whole number")
+    return int(value)
 
 
 def _float(value: float, key: str, where: str) -> float:

@@ -16,7 +16,7 @@ from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
 from isetval.core.scene import Spectrum, Target, narrow_band, read_spectra
 from isetval.core.sensor import Exposure, Sensor, Window
-from isetval.core.toml import PACKAGE_PREFIX, check_keys, inside, named_file, number, numbers, read_toml, text, texts
+from isetval.core.toml import PACKAGE_PREFIX, check_keys, inside, named_file, number, numbers, read_toml, tables, text, texts
 from isetval.files.captures import FileCaptures
 from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
 from isetval.files.metric_file import Reading, read_metrics
@@ -81,7 +81,8 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
             shots=tuple(_sized(shot, sensor, path) for shot in shots),
             lights=lights,
             nuisances=tuple(
-                _nuisance(entry, f"{path}: [[nuisance]] number {i}") for i, entry in enumerate(table.get("nuisance", []), 1)
+                _nuisance(entry, f"{path}: [[nuisance]] number {i}")
+                for i, entry in enumerate(tables(table, "nuisance", str(path)), 1)
             ),
             sensor=sensor,
             camera=named,

@@ -264,6 +264,7 @@ class TrueEffect(msgspec.Struct, frozen=True):
 
     name: str
     parameters: dict[str, float]
+    also: list[str] = []
 
 
 class Truth(msgspec.Struct, frozen=True):

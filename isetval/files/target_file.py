@@ -9,7 +9,7 @@ from typing import Any
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target, read_spectra
 from isetval.core.sensor import RoiLike
-from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, tables, text
+from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, tables, text, whole
 
 SEEN_NM = (380.0, 780.0)
 """Bands of a camera model: measured tables go on into the ultraviolet and infrared, where their noise passes 1."""
@@ -64,7 +64,7 @@ def _chart(name: str, entry: Mapping[str, Any], where: str, path: Path) -> Chart
         name=name,
         patches=_patches(entry, where, path, table),
         surround=_reflectance(entry.get("surround", 0.1), where, path),
-        margin_px=int(number(entry, "margin_px", where, 4)),
+        margin_px=whole(entry, "margin_px", where, 4),
         background=_reflectance(entry["background"], where, path) if "background" in entry else None,
         outline=_box(entry, "outline", where) if "outline" in entry else None,
         disks=_disks(entry, where),

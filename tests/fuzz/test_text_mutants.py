@@ -87,6 +87,26 @@ def test_findings(readers, name, place, value, said):
 
 
 @pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[sensor]", "nuisance = 1e308\n[sensor]", "nuisance is 1e+308; write each as its own"),
+        ("dark_reflectance = 0.05", f'dark_reflectance = "{"x" * 5000}"', "is no file name"),
+        ("dark_reflectance = 0.05", "dark_reflectance = inf", "not finite"),
+        ("frames = 2", 'frames = 2\nmetrics = "../../etc/passwd"', "leads out of the folder"),
+    ],
+)
+def test_findings_in_plans(readers, old, new, said):
+    path = readers.path("target")
+    text = readers.files["target"][1].decode()
+    if "nuisance" in new:
+        text = text[: text.index("[[nuisance]]")] + text[text.index("[light.sphere]") :]
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        readers.files["target"][2](path)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("[" * 100_000, "nested too deeply"),

@@ -171,7 +171,7 @@ class Readers:
         from isetval.app.challenge import score_diagnosis
         from isetval.files.result_file import Answer, read_as
 
-        truth = {"effects": [{"name": "vignetting", "parameters": {"v": 0.1}}]}
+        truth = {"kind": "single", "effects": [{"name": "vignetting", "parameters": {"v": 0.1}}]}
         score_diagnosis(truth, read_as(path, Answer))
 
     def _truth(self, path):
