@@ -13,7 +13,7 @@ from pathlib import Path
 from analyses.paper.common import DATA, ROOT, Result, print_result, timed
 from analyses.paper.page import write_page
 
-SCRIPTS = ("relative_illumination", "edges", "noise", "conversion_gain")
+SCRIPTS = ("lens", "relative_illumination", "edges", "noise", "conversion_gain", "spectral_qe", "color")
 """In the order of the page."""
 
 
