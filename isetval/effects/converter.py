@@ -72,7 +72,7 @@ class GainKnee(Effect):
     must_not_change = ("dark",)
 
     slope: float = parameter(0.0, unit="1", low=-0.99, high=10.0, tau=0.05, doc="relative change s of the slope above the knee")
-    knee_e: float = parameter(2000.0, unit="e-", low=0.0, high=1e9, shape=True, doc="knee mu_k")
+    knee_e: float = parameter(2000.0, unit="e-", low=0.0, high=1e9, tau=1000.0, shape=True, doc="knee mu_k")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Bend the response above the knee."""

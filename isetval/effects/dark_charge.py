@@ -94,9 +94,9 @@ class AmpGlow(Effect):
     must_not_change = ("edge",)
 
     rate_e_per_s: float = parameter(0.0, unit="e-/s", low=0.0, high=1e6, tau=3.0, doc="glow g at its brightest point")
-    x0: float = parameter(0.8, unit="half diagonal", low=-2.0, high=2.0, shape=True, doc="column place of the source")
-    y0: float = parameter(0.6, unit="half diagonal", low=-2.0, high=2.0, shape=True, doc="row place of the source")
-    width: float = parameter(0.3, unit="half diagonal", low=0.01, high=10.0, shape=True, doc="decay length w")
+    x0: float = parameter(0.8, unit="half diagonal", low=-2.0, high=2.0, tau=0.3, shape=True, doc="column place of the source")
+    y0: float = parameter(0.6, unit="half diagonal", low=-2.0, high=2.0, tau=0.3, shape=True, doc="row place of the source")
+    width: float = parameter(0.3, unit="half diagonal", low=0.01, high=10.0, tau=0.15, shape=True, doc="decay length w")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add the mean glow."""
@@ -133,7 +133,7 @@ class HotPixels(Effect):
     reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"
 
     fraction: float = parameter(0.0, unit="1", low=0.0, high=0.5, tau=1e-3, doc="fraction of hot pixels")
-    rate_e_per_s: float = parameter(100.0, unit="e-/s", low=0.0, high=1e6, shape=True, doc="mean rate of a hot pixel")
+    rate_e_per_s: float = parameter(100.0, unit="e-/s", low=0.0, high=1e6, tau=100.0, shape=True, doc="mean rate of a hot pixel")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add the mean charge of the hot pixels."""
@@ -173,7 +173,7 @@ class TransientHits(Effect):
     rate_per_mpx_s: float = parameter(
         0.0, unit="1/(Mpx s)", low=0.0, high=1e6, tau=20.0, doc="hits per second and million pixels"
     )
-    charge_e: float = parameter(1000.0, unit="e-", low=0.0, high=1e6, shape=True, doc="mean charge of a hit")
+    charge_e: float = parameter(1000.0, unit="e-", low=0.0, high=1e6, tau=500.0, shape=True, doc="mean charge of a hit")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add this frame's hits, or their mean to the expectation."""

@@ -107,7 +107,7 @@ class RollingFlicker(Effect):
 
     depth: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.02, doc="depth m of the light's modulation")
     frequency_hz: float = parameter(100.0, unit="Hz", low=0.1, high=1e5, shape=True, doc="frequency f: twice that of the mains")
-    row_time_us: float = parameter(10.0, unit="us", low=0.01, high=1e4, shape=True, doc="time t_row from one row to the next")
+    row_time_us: float = parameter(10.0, unit="us", low=0.01, high=1e4, tau=10.0, shape=True, doc="time t_row between rows")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale each row by the light of its time; 1 in the expectation."""

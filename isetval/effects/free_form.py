@@ -122,6 +122,19 @@ def curve_parameters(effect: Effect) -> tuple[ParameterInfo, ...]:
     return tuple(p for p in effect.parameters() if p.name.startswith(PREFIX))
 
 
+def curve_on_axis(effect: Effect, place: Any) -> Float:
+    """The curve f of an effect in its free form, at places of its axis.
+
+    Raises
+    ------
+    TypeError
+        If the effect stands in its own form.
+    """
+    if not isinstance(effect, _Free):
+        raise TypeError(f"effect {effect.name} is not in its free form")
+    return effect.curve(place)
+
+
 def _own_fields(effect: Effect) -> dict[str, Any]:
     return {f.name: getattr(effect, f.name) for f in fields(effect) if not f.name.startswith(PREFIX)}
 

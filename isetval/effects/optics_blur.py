@@ -328,7 +328,7 @@ class MotionBlur(Effect):
     must_not_change = ("dark", "flat", "illumination")
 
     length_px: float = parameter(0.0, unit="px", low=0.0, high=50.0, tau=0.7, doc="length l of the motion")
-    angle_deg: float = parameter(0.0, unit="deg", low=-180.0, high=180.0, shape=True, doc="direction phi from the row axis")
+    angle_deg: float = parameter(0.0, unit="deg", low=-180.0, high=180.0, tau=45.0, shape=True, doc="direction phi off the rows")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """One more transfer function."""

@@ -81,7 +81,7 @@ class Vignetting(Effect):
     must_not_change = ("dark",)
 
     v: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.2, doc="loss at the corner")
-    r0: float = parameter(0.6, unit="half diagonal", low=0.0, high=0.99, shape=True, doc="onset r0")
+    r0: float = parameter(0.6, unit="half diagonal", low=0.0, high=0.99, tau=0.15, shape=True, doc="onset r0")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale by the loss of each pixel."""
@@ -281,7 +281,7 @@ class Ghost(Effect):
     uses_mean_irradiance = True
 
     gamma: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.005, doc="ghost light as a fraction of the field's mean")
-    k: float = parameter(2.0, unit="1", low=0.2, high=50.0, shape=True, doc="inverse radius of the ghost in half diagonals")
+    k: float = parameter(2.0, unit="1", low=0.2, high=50.0, tau=0.7, shape=True, doc="inverse radius in half diagonals")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add the disc."""

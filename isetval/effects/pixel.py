@@ -87,7 +87,7 @@ class ChargeDiffusion(Effect):
     must_not_change = ("dark", "flat", "illumination")
 
     sigma_px: float = parameter(0.0, unit="px", low=0.0, high=3.0, tau=0.25, doc="standard deviation of the spread at 550 nm")
-    growth: float = parameter(0.0, unit="1/100 nm", low=-0.5, high=1.0, shape=True, doc="relative growth with wavelength")
+    growth: float = parameter(0.0, unit="1/100 nm", low=-0.5, high=1.0, tau=0.1, shape=True, doc="growth with wavelength")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """One more transfer function."""

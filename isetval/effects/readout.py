@@ -76,7 +76,7 @@ class Rts(Effect):
     reference = "Wang, Rao, Mierop & Theuwissen, IEDM 2006 (random telegraph signal in CMOS image sensor pixels)"
 
     fraction: float = parameter(0.0, unit="1", low=0.0, high=0.5, tau=2e-3, doc="fraction of jumping pixels")
-    amplitude_e: float = parameter(15.0, unit="e-", low=0.0, high=1e4, shape=True, doc="mean distance of the two levels")
+    amplitude_e: float = parameter(15.0, unit="e-", low=0.0, high=1e4, tau=10.0, shape=True, doc="mean distance of both levels")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add this frame's level; nothing in the expectation."""

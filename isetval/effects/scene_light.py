@@ -80,8 +80,8 @@ class SpdMismatch(Effect):
     light: str = ""
     tilt: float = parameter(0.0, unit="1/100 nm", low=-0.6, high=0.6, tau=0.05, doc="relative tilt around 550 nm")
     spike: float = parameter(0.0, unit="1", low=-1.0, high=100.0, tau=0.2, doc="relative height of the spike")
-    spike_nm: float = parameter(545.0, unit="nm", low=300.0, high=1100.0, shape=True, doc="place of the spike")
-    width_nm: float = parameter(10.0, unit="nm", low=1.0, high=200.0, shape=True, doc="standard deviation w of the spike")
+    spike_nm: float = parameter(545.0, unit="nm", low=300.0, high=1100.0, tau=60.0, shape=True, doc="place of the spike")
+    width_nm: float = parameter(10.0, unit="nm", low=1.0, high=200.0, tau=15.0, shape=True, doc="its standard deviation w")
 
     def content(self) -> tuple[Any, ...]:
         """Parameters and the light they belong to."""
@@ -239,7 +239,7 @@ class Fluorescence(Effect):
 
     patch: str = ""
     emission: float = parameter(0.0, unit="1", low=0.0, high=10.0, tau=0.05, doc="emitted over mean exciting radiance (yield)")
-    peak_nm: float = parameter(450.0, unit="nm", low=350.0, high=1100.0, shape=True, doc="peak of the emission")
+    peak_nm: float = parameter(450.0, unit="nm", low=350.0, high=1100.0, tau=20.0, shape=True, doc="peak of the emission")
     width_nm: float = parameter(25.0, unit="nm", low=1.0, high=200.0, shape=True, doc="standard deviation w of the emission")
 
     def content(self) -> tuple[Any, ...]:
@@ -313,7 +313,7 @@ class AmbientLight(Effect):
     must_not_change = ("dark",)
 
     radiance: float = parameter(0.0, unit="W/(sr m2 nm)", low=0.0, high=1e3, tau=3e-5, doc="stray radiance L_a at 550 nm")
-    tilt: float = parameter(0.0, unit="1/100 nm", low=-0.6, high=0.6, shape=True, doc="relative tilt of its spectrum")
+    tilt: float = parameter(0.0, unit="1/100 nm", low=-0.6, high=0.6, tau=0.1, shape=True, doc="relative tilt of its spectrum")
 
     def apply_scene(self, scene: Scene, context: Context) -> Scene:
         """Add to the stray light, unless the lens is capped."""

@@ -142,6 +142,11 @@ def _investigate(case: Investigation, say: Say) -> list[Finding]:
         weigh_neighbours(case)
         if turn == 0:
             _tell_evidence(case)
+        shaped = in_best_form(case, case.standing, say)  # before anything else is said to be missing
+        if shaped is not case.standing:
+            case.standing = shaped
+            rebase(case, say)
+            continue
         better = _better(case, say, seen, first=turn == 0)
         if better is None:
             break

@@ -1,27 +1,45 @@
-"""The form of a named effect: shapes that it may have, weighed by evidence before anything else is said to be missing."""
+"""The form of a named effect: shapes that it may have, weighed by evidence before anything else is said to be missing.
+
+A candidate whose shape is wrong loses to another effect, or leaves a residual that looks like a second one.  Beside its
+own form an effect may have others by name (`Effect.forms`), shape parameters that have a prior (an onset, a place), and a free
+form: a spline along the axis that it states (`isetval.effects.free_form`).  All of them are the same class: none is a
+second name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
-from isetval.loop.candidates import Candidate
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, refit
-from isetval.loop.investigation import Investigation
-from isetval.loop.posterior import NOTHING
-from isetval.loop.result import FormRow
+import numpy as np
+from numpy.typing import NDArray
 
+from isetval.core.effect import ParameterInfo
+from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
+from isetval.loop.candidates import Candidate
+from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
+from isetval.loop.investigation import Investigation, terms_beside
+from isetval.loop.posterior import NOTHING
+from isetval.loop.prediction import Point
+from isetval.loop.result import FormRow
+from isetval.loop.score_test import make_frame
+from isetval.loop.subset_sum import Term, weigh, weigh_all
+from isetval.loop.unknown import findings
+
+Float = NDArray[np.float64]
 Say = Callable[[str], None]
 STEP_SHARE = 0.05  # of the prior's width: as the joint refits of candidates step
+FREE_SHARE = 0.1  # of the prior that the catalogue's form of an effect has: what a smooth other one, or a freed onset, has
+LEFT = 0.1  # probability of a pattern in what is left, look-elsewhere in it, below which another form is worth its simulations
 
 
 def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
-    A candidate whose shape is wrong loses to another effect, or leaves a residual that looks like a second one.  Its
-    other forms, and its shape parameters freed with their priors, are fitted from where its fit ended, and the evidence
-    of each, as of any candidate, decides; the form is changed for strong evidence only.
+    Forms by name are fitted from where the fit ended.  Shape parameters and free forms are first weighed as further columns of
+    the linear model about the fit, where anything is left over; those that promise strong evidence are fitted in full.
+    The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.
     """
     for name in sorted(m.name for m in found.effects):
         found = _in_best_form_of(case, found, name, say)
@@ -29,17 +47,17 @@ def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis
 
 
 def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say) -> Hypothesis:
-    def form_of(one: Hypothesis) -> Candidate:
-        return next(m for m in one.effects if m.name == name)
-
-    fits = [found, *(_fitted(case, variant, found) for variant in _variants(form_of(found)))]
+    fits = [found, *(_fitted(case, variant, found) for variant in _named_forms(_form(found, name)))]
+    best = max(fits, key=case.score)
+    if _openings(_form(best, name)) and _something_left(case, best):
+        fits += [_fitted(case, opened, best) for opened in _promising(case, best, name)]
     if len(fits) == 1:
         return found
     fits.sort(key=case.score, reverse=True)
     chosen = fits[0] if case.score(fits[0]) - case.score(found) > CLOSE_LOG_ODDS else found
     null = case.known[NOTHING].log_evidence
     rows = [
-        FormRow(_words(form_of(f)), _free(form_of(f)), f.log_evidence - null)
+        FormRow(_words(_form(f, name)), tuple(p.name for p in _form(f, name).parameters), f.log_evidence - null)
         for f in (chosen, *(f for f in fits if f is not chosen))
     ]
     case.forms[name] = tuple(rows)
@@ -48,29 +66,97 @@ def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say
     return chosen
 
 
+def _form(hypothesis: Hypothesis, name: str) -> Candidate:
+    """The candidate of that name, in the form that a hypothesis holds."""
+    return next(m for m in hypothesis.effects if m.name == name)
+
+
 def has_forms(candidate: Candidate) -> bool:
     """Whether a candidate may have another shape than the one that its score was made with."""
-    return any(True for _ in _variants(candidate))
+    return bool(_openings(candidate)) or any(True for _ in _named_forms(candidate))
 
 
 def _words(candidate: Candidate) -> str:
-    return ", ".join(str(getattr(candidate.effect, name)) for name in candidate.effect.forms) or "as it is"
+    names = [str(getattr(candidate.effect, name)) for name in candidate.effect.forms]
+    if is_free(candidate.effect) and candidate.effect.free is not None:
+        names.append(f"free along the {candidate.effect.free.axis}")
+    return ", ".join(names) or "as it is"
 
 
-def _free(candidate: Candidate) -> tuple[str, ...]:
-    return tuple(p.name for p in candidate.parameters)
-
-
-def _variants(candidate: Candidate) -> Iterator[Candidate]:
-    """The candidate in its other forms, with and without its shape parameters (those that have a prior)."""
+def _named_forms(candidate: Candidate) -> Iterator[Candidate]:
+    """The candidate in its other forms by name."""
     effect = candidate.effect
-    shapes = tuple(p for p in effect.parameters() if p.shape and p.tau is not None and p not in candidate.parameters)
     names = list(effect.forms)
     for choice in product(*(effect.forms[name] for name in names)):
         other = effect.changed(**dict(zip(names, choice, strict=True)))
-        for more in ((), shapes) if shapes else ((),):
-            if other != effect or more:
-                yield replace(candidate, effect=other, parameters=(*candidate.parameters, *more))
+        if other != effect:
+            yield replace(candidate, effect=other)
+
+
+def _openings(candidate: Candidate) -> list[Candidate]:
+    """The candidate with further parameters free: shapes that have a prior, a curve along its axis, both."""
+    effect = candidate.effect
+    shapes = tuple(p for p in effect.parameters() if p.shape and p.tau is not None and p not in candidate.parameters)
+    out = [_opened(candidate, shapes)] if shapes else []
+    if has_free_form(type(effect)) and not is_free(effect):
+        curved = replace(candidate, effect=freed(effect))
+        curve = curve_parameters(curved.effect)
+        out += [_opened(curved, more) for more in ((curve, (*shapes, *curve)) if shapes else (curve,))]
+    return out
+
+
+def _opened(candidate: Candidate, more: Sequence[ParameterInfo]) -> Candidate:
+    share = FREE_SHARE * candidate.prior_weight
+    return replace(candidate, parameters=(*candidate.parameters, *more), prior_weight=share)
+
+
+def _something_left(case: Investigation, found: Hypothesis) -> bool:
+    """Whether a second effect, or a pattern without physics, would be seen in what a hypothesis leaves."""
+    terms = terms_beside(case, found)
+    if terms:
+        logs, _ = weigh_all(linear_model(case.problem, found.fitted, terms), classes=max(case.classes, 1), largest=1)
+        if max(value for subset, value in logs.items() if subset) > logs[()]:
+            return True
+    return bool(findings(case.problem, make_frame(found.fitted), alpha=LEFT))
+
+
+def _promising(case: Investigation, found: Hypothesis, name: str) -> list[Candidate]:
+    """Openings whose further parameters promise strong evidence in the linear model about a fit."""
+    openings = _openings(_form(found, name))
+    widest = openings[-1]
+    more = [p for p in widest.parameters if p not in _form(found, name).parameters]
+    columns = dict(zip((p.name for p in more), _columns(case, found, widest, more).T, strict=True))
+    alone = weigh(linear_model(case.problem, found.fitted), ()).log_evidence
+    promised: list[tuple[float, Candidate]] = []
+    for opened in openings:
+        own = [p for p in more if p in opened.parameters]
+        white = np.column_stack([columns[p.name] for p in own])
+        if not white.any():
+            continue
+        term = Term(name, white, np.array([p.tau or 1.0 for p in own]), np.zeros(len(own)))
+        gain = weigh(linear_model(case.problem, found.fitted, [term]), (0,)).log_evidence - alone + float(np.log(FREE_SHARE))
+        promised.append((gain, opened))
+    promised.sort(key=lambda item: -item[0])
+    return [opened for gain, opened in promised if gain > max(CLOSE_LOG_ODDS, promised[0][0] - CLOSE_LOG_ODDS)]
+
+
+def _columns(case: Investigation, found: Hypothesis, opened: Candidate, more: Sequence[ParameterInfo]) -> Float:
+    """Whitened derivatives (kept rows, parameters) of further parameters of an effect, where a fit ended."""
+    point, klass = found.fitted.point, opened.klass
+    standing = point.model.effect(klass)
+    values = {} if standing is None else dict(standing.values())
+    model = point.model.with_effect(opened.effect.changed(**values))
+    steps = [
+        STEP_SHARE * (p.tau or 1.0) * (-1.0 if model.value(f"{klass}.{p.name}") + (p.tau or 1.0) > p.high else 1.0) for p in more
+    ]
+    moved = [
+        model.with_values({f"{klass}.{p.name}": model.value(f"{klass}.{p.name}") + h}) for p, h in zip(more, steps, strict=True)
+    ]
+    here, *there = case.problem.predictor.derivative_vectors(
+        [Point(m, point.values) for m in (model, *moved)], case.problem.seeds
+    )
+    raw = np.column_stack([np.nan_to_num(vector - here) / h for vector, h in zip(there, steps, strict=True)])
+    return case.problem.whitened(raw)
 
 
 def _fitted(case: Investigation, variant: Candidate, found: Hypothesis) -> Hypothesis:

@@ -15,6 +15,8 @@ from isetval.loop.comparison import LadderRow
 if TYPE_CHECKING:
     import pandas as pd
 
+    from isetval.loop.form_curve import FormCurve
+
 VERDICTS = ("consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed")
 
 
@@ -47,7 +49,8 @@ class NamedEffect:
     """An effect that the data ask for, with those that would explain them as well.
 
     ``posterior`` is of the class; ``posterior_range`` for prior widths three times narrower to wider.  ``forms`` weighs
-    the shapes that the effect may have, the chosen one first (empty: it has one).
+    the shapes that the effect may have, the chosen one first (empty: it has one); ``curve`` is the free form that was found
+    where none of the catalogue's fits.
     """
 
     name: str
@@ -59,6 +62,12 @@ class NamedEffect:
     present: bool
     dchi2: float
     forms: tuple[FormRow, ...] = ()
+    curve: FormCurve | None = None
+
+    @property
+    def words(self) -> str:
+        """Its name, with "form of" before it where the catalogue's form does not do."""
+        return f"form of {self.name}" if self.curve is not None else self.name
 
 
 @dataclass(frozen=True)
@@ -111,7 +120,7 @@ class Diagnosis(Drawn):
 
     def headline(self) -> str:
         """The verdict and what it names."""
-        named = "; ".join(f"{e.name} (posterior {e.posterior:.2f})" for e in self.effects)
+        named = "; ".join(f"{e.words} (posterior {e.posterior:.2f})" for e in self.effects)
         return f"{self.verdict}{': ' if named else ''}{named}"
 
     def to_frame(self) -> pd.DataFrame:
@@ -175,6 +184,8 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         "present_in_model": effect.present,
         "dchi2": effect.dchi2,
         "choices": {name: getattr(effect.effect, name) for name in (*effect.effect.forms, *["light"] * effect.effect.per_light)},
+        "form": "own" if effect.curve is None else "free",
+        "curve": None if effect.curve is None else effect.curve.to_json(),
         "forms": [vars(row) | {"free": list(row.free)} for row in effect.forms],
         "fitted_to": list(effect.effect.fitted_to),
     }

@@ -12,6 +12,7 @@ from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Doubt, Signature
 from isetval.loop.comparison import captures_of, ladder_rows
 from isetval.loop.evidence import CLOSE_LOG_ODDS, least_chi2
+from isetval.loop.form_curve import curve_of
 from isetval.loop.investigation import Investigation, named_model, second_session
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
@@ -142,6 +143,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness]) -> tuple[Came
                 candidate.present,
                 _fall_of_chi2(case, candidate.name),
                 case.forms.get(candidate.name, ()),
+                curve_of(candidate, case.fitted, case.prepared.model.sensor),
             )
         )
     if effects:

@@ -15,7 +15,7 @@ from isetval.core.toml import data_folder
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import candidates_for
 from isetval.loop.curve_campaign import curve_campaign
-from isetval.loop.forms import _variants
+from isetval.loop.forms import _named_forms, _openings
 from isetval.loop.given_side import in_large_pixels, shoot
 from isetval.measure.analyses.full_field import ring_means
 
@@ -33,9 +33,13 @@ def camera():
 
 
 def test_forms_and_shapes_of_a_candidate_are_weighed(camera):
-    found = {c.name: list(_variants(c)) for c in candidates_for(camera)}
-    assert [v.effect.form for v in found["pixel_angular_response"]] == ["sin2"]
-    assert found["vignetting"] == []  # its onset has no prior: it is not freed
+    found = {c.name: c for c in candidates_for(camera)}
+    assert [v.effect.form for v in _named_forms(found["pixel_angular_response"])] == ["sin2"]
+    assert list(_named_forms(found["vignetting"])) == []
+    opened = _openings(found["vignetting"])
+    assert [tuple(p.name for p in c.parameters)[1:3] for c in opened] == [("r0",), ("free_1", "free_2"), ("r0", "free_1")]
+    assert all(c.name == "vignetting" and c.prior_weight < found["vignetting"].prior_weight for c in opened)
+    assert _openings(found["read_noise"]) == []  # it states no axis, and has no shape
 
 
 def seen_through(model) -> np.ndarray:

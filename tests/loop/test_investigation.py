@@ -7,6 +7,7 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign
+from isetval.core.metric import Metric
 from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.detective import ODDS, _better, _proposals
 from isetval.loop.evidence import hypothesis, least_chi2
@@ -32,7 +33,7 @@ class LinearCamera:
 
     def __init__(self, plan, nominal):
         self.plan, self.nominal = plan, nominal
-        self.table = SimpleNamespace(metrics=[SimpleNamespace(family="f")] * ROWS)
+        self.table = SimpleNamespace(metrics=[Metric("mean", 0.0, 1.0, "DN", shot=str(i), family="f") for i in range(ROWS)])
 
     def derivative_vectors(self, points, seeds, of_noise=False):
         return [

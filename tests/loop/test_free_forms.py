@@ -1,0 +1,110 @@
+"""Wrong forms of a fall-off, made by hand: the class is right, the curve is right, and there is no second name."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.core.sensor import Sensor
+from isetval.core.toml import data_folder
+from isetval.effects.converter import Nonlinearity
+from isetval.effects.free_form import curve_parameters, freed
+from isetval.effects.optics_field import Vignetting
+from isetval.files.metric_file import Reading
+from isetval.loop.candidates import Candidate
+from isetval.loop.curve_campaign import curve_campaign
+from isetval.loop.form_curve import curve_of
+
+SIGMA = 0.001
+FOCAL_MM, CORNER_MM = 4.38, 1.4e-3 * 2520
+RADII_MM = np.arange(0.05, 3.5, 0.08)
+FORMS = {
+    "onset": lambda r: 1 - 0.2 * np.maximum(0, (r - 0.65) / 0.35) ** 2,
+    "power": lambda r: 1 - 0.15 * np.maximum(0, (r - 0.5) / 0.5) ** 3,
+    "linear": lambda r: 1 - 0.1 * r,
+    "fourth": lambda r: 1 - 0.1 * r**4,
+}
+SMOOTH_LOSSES = {"vignetting", "microlens", "cos4", "light_nonuniformity", "ghost", "gain_map_applied"}
+
+
+def measured(form):
+    """Relative illumination of a thin lens with another loss beside its own fall-off, with errors, by numpy alone."""
+    truth = (1 + (RADII_MM / FOCAL_MM) ** 2) ** -2 * FORMS[form](RADII_MM / CORNER_MM)
+    return truth / truth[0] + SIGMA * np.random.default_rng(3).standard_normal(RADII_MM.size)
+
+
+def diagnosed(form, folder):
+    rows = "".join(f"{r},{v}\n" for r, v in zip(RADII_MM, measured(form), strict=True))
+    (folder / "ri.csv").write_text("radius_mm,value\n" + rows)
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    how = Reading(sigma=SIGMA, correlation_length=0.01)
+    campaign = curve_campaign(model, folder / "ri.csv", name="relative_illumination", how=how)
+    return isetval.diagnose(model, campaign, with_next_captures=False)
+
+
+def test_another_onset_is_fitted_and_asks_for_no_second_name(tmp_path):
+    found = diagnosed("onset", tmp_path)
+    assert (found.verdict, [e.name for e in found.effects], found.leftover) == ("attributed", ["vignetting"], None)
+    onset = found.effects[0].parameters["r0"]
+    assert abs(onset.value - 0.65) < 3 * onset.sigma
+    assert onset.sigma < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["power", "linear", "fourth"])
+def test_a_fall_off_of_another_form_is_one_name(form, tmp_path):
+    found = diagnosed(form, tmp_path)
+    assert found.verdict in ("attributed", "ambiguous")
+    assert found.leftover is None
+    (effect,) = found.effects
+    assert effect.name in SMOOTH_LOSSES
+
+
+@pytest.mark.slow
+def test_the_curve_of_a_linear_fall_off_is_drawn_as_it_is(tmp_path):
+    (effect,) = diagnosed("linear", tmp_path).effects
+    assert effect.words == "form of cos4"
+    curve = effect.curve
+    truth = (1 + (curve.at * CORNER_MM / FOCAL_MM) ** 2) ** -2 * FORMS["linear"](curve.at)
+    inside = curve.at > 0.1
+    pulls = (curve.value[""] - truth)[inside] / curve.sigma[""][inside]
+    assert np.abs(pulls).max() < 3
+    assert curve.sigma[""].max() < 0.005
+    assert np.abs(curve.own[""] - truth).max() > 0.02
+
+
+def fit_of(candidate, values, sigma):
+    """A fit that ended at ``values`` of a candidate, independent."""
+    free = [SimpleNamespace(label=key) for key in candidate.keys]
+    index = {key: i for i, key in enumerate(candidate.keys)}
+    covariance = np.diag(np.square(sigma))
+    return SimpleNamespace(free=free, covariance=covariance, value=lambda key: (values[index[key]], sigma[index[key]]))
+
+
+def candidate_of(effect):
+    parameters = tuple(p for p in effect.parameters() if p.tau is not None and not p.shape)
+    return Candidate(effect.name, effect, parameters, False)
+
+
+def test_the_band_of_a_curve_is_that_of_its_parameters():
+    sensor = Sensor(3024, 4032, pixel_um=1.4, black_dn=((64, 64), (64, 64)), white_dn=1023)
+    effect = freed(Vignetting(r0=0.0))
+    candidate = candidate_of(effect)
+    count = len(curve_parameters(effect))
+    curve = curve_of(candidate, fit_of(candidate, [0.1, *[0.0] * count], [0.02, *[0.0] * count]), sensor)
+    # 1 - v r^2: sigma_v r^2; pixels lie half a pixel off their place, 1/5000 of the radius
+    np.testing.assert_allclose(curve.value[""], 1 - 0.1 * curve.at**2, atol=1e-4)
+    np.testing.assert_allclose(curve.sigma[""], 0.02 * curve.at**2, atol=2e-5)
+    np.testing.assert_array_equal(curve.own[""], curve.value[""])
+    assert curve_of(candidate_of(Vignetting()), fit_of(candidate, [0.1], [0.02]), sensor) is None
+
+
+def test_the_curve_of_a_response_is_over_its_level():
+    sensor = Sensor(3024, 4032, pixel_um=1.4, black_dn=((64, 64), (64, 64)), white_dn=1023)
+    candidate = candidate_of(freed(Nonlinearity()))
+    count = len(curve_parameters(candidate.effect))
+    values = [0.03, *[0.0] * count]
+    curve = curve_of(candidate, fit_of(candidate, values, [0.001] * (1 + count)), sensor)
+    np.testing.assert_allclose(curve.value[""], 1 - 0.03 * curve.at, rtol=1e-6)
+    assert curve.to_json()["quantity"] == "factor on the light"
