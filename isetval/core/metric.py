@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -135,7 +136,7 @@ class MetricTable(Drawn):
             "settings": plain(self.settings),
         }
 
-    @property
+    @cached_property
     def metrics(self) -> tuple[Metric, ...]:
         """All rows, in block order."""
         return tuple(m for block in self.blocks for m in block.metrics)

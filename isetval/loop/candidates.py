@@ -194,7 +194,8 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
             if np.any(length > STRONG):
                 ratio = WANTED / np.maximum(length, 1e-9)
                 closer = ratio if wanted[i].effect.random == "none" else np.sqrt(ratio)
-                steps[i] = steps[i] * np.where(length > STRONG, closer, 1.0)
+                # halved so many times: steps that follow the data would find nothing in the store
+                steps[i] = steps[i] * np.where(length > STRONG, 2.0 ** np.round(np.log2(closer)), 1.0)
                 again.append(i)
         if not again:
             break

@@ -77,6 +77,9 @@ class Predictor:
         Its captures are not used.
     table : MetricTable
         The measured rows: predictions come in their order, made with their choices.
+    rows : mapping, optional
+        Keys of the rows that the plan gives, by shot (`isetval.loop.nominal`): what is simulated is kept for all of them,
+        so that campaigns of one plan share it whichever rows each of them has.
     jobs : int
         Worker processes; 1 computes in this process.
     progress : callable, optional
@@ -84,7 +87,15 @@ class Predictor:
         not known.  The time left follows from both; see `isetval.loop.telling.Teller` for the words that belong to it.
     """
 
-    def __init__(self, plan: Campaign, table: MetricTable, *, jobs: int = 1, progress: Counted | None = None) -> None:
+    def __init__(
+        self,
+        plan: Campaign,
+        table: MetricTable,
+        *,
+        rows: Mapping[str, Sequence[Any]] | None = None,
+        jobs: int = 1,
+        progress: Counted | None = None,
+    ) -> None:
         self.plan = plan.as_plan()
         self.table = table
         self.keys = [m.key() for m in table.metrics]
@@ -94,7 +105,11 @@ class Predictor:
             by_shot.setdefault(m.shot, []).append(i)
         self.shots = tuple(shot for shot in self.plan.shots if shot.name in by_shot)
         self.rows = {shot.name: np.array(by_shot[shot.name]) for shot in self.shots}
-        self._wanted = {name: Rows.of([self.keys[i] for i in rows]) for name, rows in self.rows.items()}
+        self._wanted = {
+            name: Rows.of(list(dict.fromkeys([*(rows or {}).get(name, ()), *(self.keys[i] for i in own)])))
+            for name, own in self.rows.items()
+        }
+        self._pick = {name: self._wanted[name].places([self.keys[i] for i in own]) for name, own in self.rows.items()}
         self._number = {shot.name: i for i, shot in enumerate(self.shots)}
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
@@ -175,7 +190,9 @@ class Predictor:
         count = min(COVARIANCE_REPLICAS, replicas)
         groups = [[parts[k] for parts in every] for k in range(len(self.shots))]
         known = self._known(sample_of, groups, count)
-        values, covariance = self._gathered([Sampled.unpacked(known[i]) for i in range(len(groups))])
+        values, covariance = self._gathered(
+            [Sampled.unpacked(vector).only(self._pick[shot.name]) for shot, vector in zip(self.shots, known, strict=True)]
+        )
         scale = scatter(values, measured_only(covariance, self.table), self.table.metrics)
         covariance = covariance * np.outer(scale, scale) + self._of_renders(every[0])
         covariance = with_stated_covariance(covariance, self.table, replicas)
@@ -204,9 +221,9 @@ class Predictor:
         rendered = [task for task in tasks if isinstance(task.setup.shot.target, RenderedTarget)]
         calls = [self._call(render_part, [task]) for task in rendered]
         for i, part in self._runner.results(calls):
-            rows = self.rows[rendered[i].setup.shot.name]
+            name = rendered[i].setup.shot.name
             if part is not None:
-                out[np.ix_(rows, rows)] = part
+                out[np.ix_(self.rows[name], self.rows[name])] = part[np.ix_(self._pick[name], self._pick[name])]
         return out
 
     def _call(self, function: Any, tasks: Sequence[ShotPart], *more: Any) -> Call:
@@ -222,7 +239,7 @@ class Predictor:
         for i, vectors in self._runner.results(calls):
             for key, vector in zip(groups[i], vectors, strict=True):
                 self._memo.put(key, vector)
-        return [self._memo.items[key] for key in keys]
+        return [self._memo.items[key][self._pick[task.setup.shot.name]] for key, task in zip(keys, tasks, strict=True)]
 
     def _key(self, task: ShotPart) -> str:
         return content_hash((task.key, self._wanted[task.setup.shot.name].digest))

@@ -18,6 +18,7 @@ from isetval.core.given import row_words
 from isetval.core.metric import MetricTable
 from isetval.loop.fit import Fit, far_values, fit, jacobian, nuisance_parameters
 from isetval.loop.given_side import given_rows
+from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.problem import Problem, make_problem
 from isetval.loop.telling import Say, Teller
@@ -112,9 +113,15 @@ def prepare(
     model = model.sampled_as(campaign.sensor)
     check_sensor(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
-    table = table or measure_campaign(campaign, summaries=False, progress=lambda _, done, total: say.counted(done, total))
+    nominal = nominal_of(model, campaign, say.counted)
+    table = table or measure_campaign(
+        campaign,
+        choices=that_hold(campaign, nominal),
+        summaries=False,
+        progress=lambda _, done, total: say.counted(done, total),
+    )
     campaign = _without_broken(campaign)
-    predictor = Predictor(campaign, table, jobs=jobs, progress=say.counted)
+    predictor = Predictor(campaign, table, rows=nominal.rows, jobs=jobs, progress=say.counted)
     say(f"simulating the plan with {model.name}")
     problem = make_problem(predictor, Point(model))
     table = replace(table, notes=(*table.notes, *_without_counterpart(problem)))

@@ -54,6 +54,11 @@ class Rows:
         """Of keys of metrics."""
         return cls(tuple(keys), content_hash(keys))
 
+    def places(self, keys: Sequence[Any]) -> NDArray[np.intp]:
+        """Where some of the rows stand among all."""
+        place = {key: i for i, key in enumerate(self.keys)}
+        return np.array([place[key] for key in keys], dtype=np.intp)
+
     def order(self, blocks: Sequence[Block]) -> NDArray[np.intp]:
         """Places of the rows in the blocks' metrics, -1 where one is missing."""
         place = {m.key(): i for i, m in enumerate(m for block in blocks for m in block.metrics)}
@@ -121,6 +126,11 @@ class Sampled:
     values: Float
     covariance: Float
     shared: Mapping[int, Float]
+
+    def only(self, rows: NDArray[np.intp]) -> Sampled:
+        """Of some of the rows."""
+        shared = {label: part[:, rows] for label, part in self.shared.items()}
+        return Sampled(self.values[:, rows], self.covariance[np.ix_(rows, rows)], shared)
 
     def packed(self) -> Float:
         """All of it as one vector, for stores."""

@@ -31,6 +31,8 @@ aperture, crosstalk, cut-off and glare is at most 13 % higher (and up to 4 % low
 true model have a mean square of .37 to .57 over the ten rows therefore (a tenth of the trace of stated^-1 sampling), not
 1: their sigmas are not too wide, the rows hold fewer numbers than they are.
 """
+WIDTH_STEPS = 15  # of 2 % each: splines a third too wide or narrow follow an ESF as well as those that fit it
+SHADED = 10.0  # times the amplitude of shading: one step of the grid of amplitudes
 # Frames without noise have a sigma of 0 or nearly: these keep weights finite and lie far below anything that is seen
 LEAST_SIGMA_MTF, LEAST_SIGMA_DN, LEAST_SIGMA_PX = 1e-7, 1e-4, 1e-5
 Float = NDArray[np.float64]
@@ -62,10 +64,34 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
 
 def analyze_many(shot: Shot, many: Sequence[Sequence[Capture]], choices: Mapping[str, Any]) -> list[Block | InputError]:
     """`analyze` of several sets of captures; with ``choices`` all regions of a colour are fitted in one stack."""
-    sensor = many[0][0].sensor
-    channels = ("MONO",) if sensor.cfa == "MONO" else ((shot.channel,) if shot.channel else ("R", "G", "B"))
+    channels = _channels(shot, many[0][0])
     results = {channel: _results(shot, many, channel, choices.get(channel)) for channel in channels}
     return [_block(shot, captures[0], {c: results[c][i] for c in channels}, choices) for i, captures in enumerate(many)]
+
+
+def _channels(shot: Shot, capture: Capture) -> tuple[str, ...]:
+    return ("MONO",) if capture.sensor.cfa == "MONO" else ((shot.channel,) if shot.channel else ("R", "G", "B"))
+
+
+def holds(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> bool:
+    """Whether choices made on another capture of the shot suit these.
+
+    They do where the first frame's ESFs are of about the same width and most colours see an edge that is no more bent and
+    no more shaded (noise alone adds an order to one of three now and then).
+    """
+    first = _first_choices(shot, captures[0])
+    if set(first) != set(choices):
+        return False
+    pairs = [(own, choices[channel]) for channel, own in first.items()]
+    like = [own["order"] <= other["order"] and own["light"] <= SHADED * other["light"] for own, other in pairs]
+    return all(abs(own["width_index"] - other["width_index"]) <= WIDTH_STEPS for own, other in pairs) and 2 * sum(like) > len(
+        like
+    )
+
+
+def _first_choices(shot: Shot, capture: Capture) -> dict[str, Mapping[str, Any]]:
+    results = {channel: _results(shot, [[capture]], channel, None)[0][0] for channel in _channels(shot, capture)}
+    return {channel: result.choices for channel, result in results.items() if result.accepted}
 
 
 def _results(

@@ -20,6 +20,7 @@ MOST = 4000  # patches: a noise in eight bins to 1 %; more cost time and tell no
 BINS = 8  # levels of the paper's figure; a hundred patches each on a small chart
 CLIPPED_SD = 6.0  # what is this far below white does not clip by chance in a simulation either
 EVEN = 3.0  # spatial over temporal noise: shading and fixed pattern pass, edges that a shaking camera turns into noise do not
+AGREE = 0.95  # of the patches: what noise lifts over the limit of evenness is a few percent
 LEAST_SIGMA_DN = 1e-6  # of noise-free simulations
 Levels = dict[str, list[list[int]]]
 
@@ -54,10 +55,20 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     conditions = shot_conditions(shot, captures[0].sensor)
     rows = [
         _noise_row(conditions, shot, channel, f"level {k + 1}", [patches[channel][i] for i in numbers])
-        for channel, bins in levels.items()
-        for k, numbers in enumerate(bins)
+        for channel in patches  # in the order of the planes, however the choices were kept
+        for k, numbers in enumerate(levels.get(channel, ()))
     ]
     return Block(tuple(rows), choices={**choices, "levels": levels})
+
+
+def holds(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> bool:
+    """Whether patches chosen on another capture of the shot are unclipped and even in these, but for a few at the limit."""
+    if len(captures) < 2:
+        return True
+    own = {"channel": shot.channel} if shot.channel else {}
+    levels = choose_levels(captures[0], patches_by_channel(captures, own | choices.get("options", {})))
+    here, there = ({c: {i for part in bins for i in part} for c, bins in found.items()} for found in (levels, choices["levels"]))
+    return set(here) == set(there) and all(len(there[c] & here[c]) >= AGREE * len(there[c]) for c in there)
 
 
 def patches_by_channel(captures: Sequence[Capture], options: Mapping[str, Any]) -> dict[str, list[Patch]]:

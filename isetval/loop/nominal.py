@@ -1,0 +1,95 @@
+"""What the estimators of a plan choose, and which rows they give: decided once on the model's own captures of the plan.
+
+Choices that are made on each measurement (the stiffness of an edge's spline, the patches of a level of noise) differ from
+capture to capture by noise alone, and with them everything that is simulated for comparison.  Made on the model's captures
+they are the same for every campaign of a plan: so are base, signatures and columns, which are then found in the
+store.  A measurement that they do not suit (a much softer edge, patches with texture) keeps its own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
+
+from isetval.camera.model import CameraModel
+from isetval.camera.shooting import simulate
+from isetval.core.cache import cache_folder, code_hash, content_hash, load_json, save_json
+from isetval.core.campaign import Campaign
+from isetval.core.errors import InputError
+from isetval.core.metric import MetricTable
+from isetval.loop.telling import Counted
+from isetval.measure.campaign import analyses, measure_campaign
+
+SEED = 6_000  # of captures that nothing else is compared with
+Key = tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """Choices by "shot/analysis", and keys of the rows of each shot, as the model's captures give them."""
+
+    choices: Mapping[str, Any] = field(default_factory=dict)
+    rows: Mapping[str, tuple[Key, ...]] = field(default_factory=dict)
+
+
+def nominal_of(model: CameraModel, plan: Campaign, counted: Counted | None = None) -> Nominal:
+    """Choices and rows of a plan under a model; kept in the cache folder by content.
+
+    Shots whose rows are given by a metrics file have none, nor have shots that the model's captures cannot be measured for.
+    """
+    shots = tuple(shot for shot in plan.shots if shot.given is None)
+    if not shots:
+        return Nominal()
+    names = {shot.name for shot in shots}
+    plan = plan.as_plan().only(names)
+    seen = [(s.name, s.seen, s.frames, s.method, s.channel, s.light and plan.lights[s.light].digest) for s in shots]
+    path = cache_folder() / "nominal" / f"{content_hash((SEED, code_hash(), model.digest(), seen))[:32]}.json"
+    if (known := _read(load_json(path))) is not None:
+        return known
+    progress = None if counted is None else lambda _, done, total: counted(done, total)
+    try:
+        table = measure_campaign(simulate(model, plan, SEED), summaries=False, progress=progress)
+    except InputError:  # nothing of the plan can be measured: whoever compares will say so
+        return Nominal()
+    made = {"choices": _offered(plan, table), "rows": _rows(table)}
+    save_json(path, made)
+    return _read(json.loads(json.dumps(made))) or Nominal()  # as it will be read: equal content, equal keys
+
+
+def _read(content: Any) -> Nominal | None:
+    """From JSON; None where it is not what was written."""
+    if not isinstance(content, dict) or not all(isinstance(content.get(part), dict) for part in ("choices", "rows")):
+        return None
+    return Nominal(content["choices"], {name: tuple(map(tuple, rows)) for name, rows in content["rows"].items()})
+
+
+def _offered(plan: Campaign, table: MetricTable) -> dict[str, Any]:
+    """Choices of the analyses that can say whether others' hold."""
+    keys = [f"{shot.name}/{name}" for shot in plan.shots for name, _ in _careful(shot.role)]
+    return {key: table.choices[key] for key in keys if key in table.choices}
+
+
+def _careful(role: str) -> list[tuple[str, ModuleType]]:
+    return [(module.__name__.rsplit(".", 1)[-1], module) for module in analyses(role) if hasattr(module, "holds")]
+
+
+def _rows(table: MetricTable) -> dict[str, list[Key]]:
+    rows: dict[str, list[Key]] = {}
+    for m in table.metrics:
+        rows.setdefault(m.shot, []).append(m.key())
+    return rows
+
+
+def that_hold(campaign: Campaign, nominal: Nominal) -> dict[str, Any]:
+    """Those of the nominal choices that suit a campaign's captures; an analysis says so in ``holds``."""
+    out: dict[str, Any] = {}
+    for shot in campaign.shots:
+        offered = [(module, key) for name, module in _careful(shot.role) if (key := f"{shot.name}/{name}") in nominal.choices]
+        captures = campaign.captures.read(shot.name) if offered else ()
+        for module, key in offered:
+            if captures and module.holds(shot, captures, nominal.choices[key]):
+                out[key] = nominal.choices[key]
+    return out

@@ -1,0 +1,82 @@
+"""Choices made on the model's captures are shared by campaigns of a plan, and left where they do not suit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isetval import load_model, simulate
+from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
+from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
+from isetval.effects import catalogue
+from isetval.loop.nominal import nominal_of, that_hold
+from isetval.loop.prediction import Point
+from isetval.loop.prepared import prepare
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(data_folder() / "pixel4a" / "camera.toml")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+
+
+@pytest.fixture(scope="module")
+def plan(model):
+    shared = {"exposure": Exposure(0.01), "frames": 2, "light": "sphere"}
+    grey = ChartTarget("grey", (Patch("p", (4, 60, 4, 60), Spectrum.flat(0.5)),), Spectrum.flat(0.5))
+    shots = (
+        Shot("flat", "flat", window=(1464, 1968, 32, 32), **shared),
+        Shot("edge", "edge", window=(1464, 1968, 64, 64), target=EdgeTarget("edge", angle_deg=5.0), **shared),
+        Shot("chart", "chart", window=(1464, 1968, 64, 64), target=grey, **shared),
+    )
+    return Campaign("p", shots, lights={"sphere": Light("sphere", Spectrum.flat(0.004))}, sensor=model.sensor)
+
+
+def test_campaigns_of_one_plan_share_base_and_differences(model, plan):
+    with prepare(model, simulate(model, plan, 1)) as first:
+        first.problem.predict([Point(model.with_values({"read_noise.sigma_e": 3.3}))])
+    told = []
+    again = prepare(model, replace(simulate(model, plan, 2), name="another"))
+    predictor = again.problem.predictor
+    predictor._runner.progress = lambda done, total: told.append(done)
+    with again:
+        again.problem.predict([Point(model.with_values({"read_noise.sigma_e": 3.3}))])
+        np.testing.assert_array_equal(again.problem.base.values, first.problem.base.values)
+        assert not np.array_equal(again.problem.measured, first.problem.measured)
+    assert not told  # everything was in the store
+
+
+def test_what_is_kept_is_what_was_made(model, plan):
+    made, read = nominal_of(model, plan), nominal_of(model, plan)
+    assert made.choices == read.choices
+    assert made.rows == read.rows
+    assert set(made.choices) == {"edge/edges", "chart/noise_by_level"}
+
+
+def test_true_captures_take_the_offered_choices(model, plan):
+    nominal = nominal_of(model, plan)
+    for seed in range(5):
+        assert that_hold(simulate(model, plan, seed), nominal) == nominal.choices
+
+
+def test_a_much_softer_edge_keeps_its_own(model, plan):
+    soft = model.add(catalogue()["charge_diffusion"](sigma_px=1.0))
+    held = that_hold(simulate(soft, plan, 1), nominal_of(model, plan))
+    assert set(held) == {"chart/noise_by_level"}
+
+
+def test_a_chart_that_shows_texture_keeps_its_own_patches(model, plan):
+    campaign = simulate(model, plan, 1)
+    frames = []
+    for capture in campaign.captures["chart"]:
+        mosaic = capture.mosaic.copy()
+        mosaic[:32] += (150 * (np.arange(64) // 4 % 2)).astype(np.uint16)  # stripes on half of the chart
+        frames.append(replace(capture, mosaic=mosaic))
+    striped = replace(campaign, captures={**campaign.captures, "chart": tuple(frames)})
+    assert set(that_hold(striped, nominal_of(model, plan))) == {"edge/edges"}
