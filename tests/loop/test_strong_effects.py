@@ -1,0 +1,70 @@
+"""Strong effects are sized on the model that bends, not on the secant that found them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.core.campaign import Campaign
+from isetval.core.toml import data_folder
+from isetval.loop.candidates import candidates_for, signatures
+from isetval.loop.evidence import first_values, hypothesis
+from isetval.loop.fit import fit
+from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
+from isetval.loop.posterior import NOTHING
+from isetval.loop.prediction import Base, Point
+from isetval.loop.problem import Problem
+from isetval.loop.score_test import make_frame
+
+KEY = "temporal_row_noise.sigma_dn"
+ROWS = 30
+FLOOR_DN2, SIGMA_DN2 = 0.3, 0.002  # variance of rows without the effect, and the error of one measured variance
+
+
+class NoisyRows:
+    """Row variances: the floor and the square of the hidden noise."""
+
+    def __init__(self):
+        self.plan = Campaign("plan", ())
+        self.table = SimpleNamespace(metrics=[SimpleNamespace(family="dark_row_noise_variance")] * ROWS)
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        sigmas = [p.model.value(KEY) if p.model.effect("temporal_row_noise") is not None else 0.0 for p in points]
+        return [np.full(ROWS, FLOOR_DN2 + sigma**2) for sigma in sigmas]
+
+
+def case_with(sigma_dn, seed=0):
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    base = Base(np.full(ROWS, FLOOR_DN2), SIGMA_DN2**2 * np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
+    measured = FLOOR_DN2 + sigma_dn**2 + SIGMA_DN2 * np.random.default_rng(seed).standard_normal(ROWS)
+    whiten = np.eye(ROWS) / SIGMA_DN2
+    problem = Problem(NoisyRows(), Point(model), base, measured, np.arange(ROWS), whiten, base.mean, base.covariance)
+    wanted = [c for c in candidates_for(model) if c.name == "temporal_row_noise"]
+    (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((ROWS, 0)))
+    fitted = fit(problem, problem.origin, ())
+    nothing = hypothesis(problem, (), fitted)
+    made = {"temporal_row_noise": signature}
+    case = Investigation(
+        SimpleNamespace(model=model), None, problem, nothing, (signature.candidate,), (), made, make_frame(fitted)
+    )
+    case.known[NOTHING] = nothing
+    weigh_neighbours(case)
+    return case
+
+
+@pytest.mark.parametrize("sigma_dn", [0.04, 0.15, 0.6])
+def test_a_noise_of_any_strength_has_the_value_that_the_rows_say(sigma_dn):
+    """d(sigma^2) = SIGMA/sqrt(ROWS): 0.04 DN is 4.4 sigmas, 0.6 DN nearly a thousand, three times its prior's width."""
+    case = case_with(sigma_dn)
+    value, sigma = fitted_jointly(case, frozenset({"temporal_row_noise"})).fitted.value(KEY)
+    assert sigma == pytest.approx(SIGMA_DN2 / np.sqrt(ROWS) / (2 * sigma_dn), rel=0.3 if sigma_dn < 0.1 else 0.05)
+    assert value == pytest.approx(sigma_dn, abs=3 * sigma)
+
+
+def test_a_fit_starts_at_the_root_of_what_the_secant_says():
+    case = case_with(0.0)
+    signature = case.signatures["temporal_row_noise"]
+    candidate, step = signature.candidate, float(signature.steps[0])
+    mean = np.array([0.25 * step / candidate.tau[0]])  # a quarter of the variance that one step adds
+    assert first_values(candidate, signature, mean)[KEY] == pytest.approx(step / 2)
