@@ -13,13 +13,14 @@ from isetval.core.capture import Capture, plane_view
 from isetval.core.metric import Block, Differences, Metric
 from isetval.core.quantity import Quantity
 from isetval.measure.conditions import metric, shot_conditions, window_label
-from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics, tilt_power
+from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics, frame_drift, tilt_power
 
 ROLES = ("dark", "flat")
 DRAWS = {"dark": 12, "flat": 4}
 """Specimens over which differences of a rare pattern are averaged: a few hot pixels scatter by 1/sqrt(draws); a dark costs a
 tenth of a flat."""
 PLATEAU_SIGMA_DN = 0.3  # a clipped plane has no noise of its own: rounding
+LEAST_FRAMES = 4  # for a drift: with fewer the scatter about it is not known at all
 SATURATED = 0.5  # of the pixels clipped: what is left is no distribution
 TOUCHED = 1e-3  # of the pixels clipped: beyond it the variance is biased by more than its sigma
 QUANTITIES = {
@@ -85,6 +86,8 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
                 )
             )
         links.append((plane, here, there))
+        if shot.role == "dark" and clipped <= TOUCHED:
+            rows += _drift(conditions, plane_statistics)
         if clipped <= TOUCHED:
             for row, common in _counts(shot, conditions, plane, plane_statistics):
                 shared.setdefault(f"{shot.role}:defects:{plane}:{window_label(shot)}", []).append((len(rows), common))
@@ -94,6 +97,14 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         correlation[np.ix_(here, here)] = statistics[plane].correlation[np.ix_(there, there)]
     columns = {label: _column(entries, len(rows)) for label, entries in shared.items()}
     return Block(tuple(rows), correlation, columns, differences=Differences(draws=DRAWS[shot.role]))
+
+
+def _drift(conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metric]:
+    """Rise of the frames' means from the first to the last: what the mean over frames hides.  It is independent of that mean."""
+    if statistics.frames < LEAST_FRAMES:
+        return []
+    rise = frame_drift(statistics.frame_means_dn, statistics.frame_mean_sigma_dn)
+    return [metric(conditions, "frame_drift", rise.value, rise.sigma, "DN", channel=statistics.plane, family="dark_frame_drift")]
 
 
 def _clipped(captures: Sequence[Capture], plane: str) -> float:

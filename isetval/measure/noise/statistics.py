@@ -238,6 +238,20 @@ def tilt_power(count: int) -> float:
     return max(float(x @ x), 1e-12)
 
 
+def frame_drift(means: Sequence[float] | Float, sigma: float) -> Quantity:
+    """Rise of the means of frames (frames,), DN, from first to last: slope of the best line times its length.
+
+    ``sigma`` is that of one frame's mean from the noise of its pixels and rows; where frames scatter more than that about the
+    line (offsets that jitter), their scatter counts.
+    """
+    values = np.asarray(means, dtype=np.float64)
+    x, power = _centered(values.size), tilt_power(values.size)
+    rise = float(x @ values) / power
+    rest = values - values.mean() - rise * x
+    scatter = math.sqrt(float(rest @ rest) / (values.size - 2))
+    return Quantity(rise, max(sigma, scatter) / math.sqrt(power), "DN")
+
+
 def noisy_fraction(moments: Moments) -> Quantity:
     """Share of pixels whose temporal variance is far above the plane's (random telegraph noise, blinking)."""
     if moments.frames < 2:
