@@ -37,6 +37,7 @@ Float = NDArray[np.float64]
 ALPHA = 0.01  # false alarms in a true model, all candidates together
 ODDS = 19.0  # 95 %: what a name needs against the same without it
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
+LONG_LIST = 8  # the same for single effects that may be of another form than their signature
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked only where they are closer
 FORM_SHARE = 0.5  # share of what the best explains that a wrong form of the right effect explains at least
 BENDS = 0.1  # share of what a single effect explains that its secant may be wrong by
@@ -196,7 +197,7 @@ def _refitted(case: Investigation, say: Say, *, first: bool) -> list[Hypothesis]
     """Hypotheses that carry the sum, fitted in full: first single effects, which the rest is then weighed about."""
     tried: list[Hypothesis] = []
     for names in _proposals(case, first=first):
-        if len(tried) >= SHORT_LIST and not (first and _may_bend(case, names)):
+        if len(tried) >= (LONG_LIST if first and _may_bend(case, names) else SHORT_LIST):
             continue
         if not first and case.table.logs[names] < max(case.score(h) for h in case.known.values()) - CLOSE_LOG_ODDS:
             break

@@ -22,6 +22,9 @@ from isetval.loop.subset_sum import MAX_EFFECTS, Term, Weighed, weigh, weigh_all
 from isetval.loop.unknown import Second
 
 Float = NDArray[np.float64]
+SLIPS = (
+    0.1  # odds that a laboratory is wrong about any of its unknowns, in units of an effect's: priors are stated by who measured
+)
 MAX_REBASES = 5  # new bases at a moving strength: a bound on cost
 STANDS = 0.7  # sigmas within which a value stands: a choice, below the error that it is stated with
 Say = Callable[[str], None]
@@ -66,6 +69,11 @@ class Investigation:
         """How many share the prior: the effects that would show, and the laboratory's slips as one."""
         return len({c.klass for c in self.candidates if c.name not in self.unobservable}) + bool(self.doubts)
 
+    @property
+    def doubt_share(self) -> float:
+        """Prior odds of one doubt in units of an effect's."""
+        return SLIPS / max(len(self.doubts), 1)
+
     def white(self) -> dict[str, Float]:
         """Whitened columns of every signature, with the weights of the present problem."""
         if self.whitened[0] is not self.problem:
@@ -74,7 +82,7 @@ class Investigation:
 
     def log_prior(self, members: Sequence[Member]) -> float:
         """Ln of the prior odds of a hypothesis against nothing."""
-        share = [m.prior_weight if isinstance(m, Candidate) else 1 / len(self.doubts) for m in members]
+        share = [m.prior_weight if isinstance(m, Candidate) else self.doubt_share for m in members]
         return float(np.sum(np.log(share)) - len(share) * np.log(max(self.classes, 1)))
 
     def score(self, found: Hypothesis) -> float:
@@ -118,7 +126,7 @@ def terms_beside(case: Investigation, reference: Hypothesis) -> list[Term]:
         if doubt.name not in gone and doubt.parameter.label in labels:
             column = reference.fitted.jacobian[:, [labels.index(doubt.parameter.label)]]
             width = doubt.loosened.reach
-            terms.append(Term(doubt.name, column, np.array([width]), np.zeros(1), prior=1 / len(case.doubts)))
+            terms.append(Term(doubt.name, column, np.array([width]), np.zeros(1), prior=case.doubt_share))
     return [t for t in terms if t.white.any()]
 
 
