@@ -166,15 +166,15 @@ def main():
         found["growth_s_cpu"] = growth(folder, args.files)
     found |= {"load_before_after": [load[0], os.getloadavg()[0]], "cores": os.cpu_count(), "shape": SHAPE}
     read, own = found["reading_ms_cpu_wall"], found["measuring_ms_cpu_wall_per_file"]
-    over, team = found["overhead_ms_cpu_wall"], found["workers"]
+    over, (one, two) = found["overhead_ms_cpu_wall"], found["workers"].values()
     rows = [
         ("DNG read, CPU, rawpy / ours", read["rawpy"][0] / read["read_dng"][0], ""),
         ("DNG read, CPU, ours / np.fromfile", read["read_dng"][0] / read["np.fromfile"][0], ""),
         ("flat in a series, share of the decode-only rate", own["decode only"][0] / own["role flat, a series"][0], ">= .7"),
         ("flat by itself, share of the decode-only rate", own["decode only"][0] / own["no role, by itself"][0], ""),
         ("store and engine, CPU beyond the bare loop", over["with store"][0] / over["bare"][0] - 1, "< .05"),
-        ("two workers / one, files a second (wall)", team["2 workers"]["files_per_s"] / team["1 workers"]["files_per_s"], ">= 1.8"),
-        ("two workers / one, CPU a file", team["2 workers"]["cpu_ms_per_file"] / team["1 workers"]["cpu_ms_per_file"], "1"),
+        ("two workers / one, files a second (wall)", two["files_per_s"] / one["files_per_s"], ">= 1.8"),
+        ("two workers / one, CPU a file", two["cpu_ms_per_file"] / one["cpu_ms_per_file"], "1"),
         ("memory of a worker, MB, one flat", found["memory_mb"]["a flat by itself"], "< 600"),
         ("memory of a worker, MB, series of 4", found["memory_mb"]["a series of 4 flats"], "< 600"),
         ("exponent of CPU against files", found["growth_s_cpu"]["exponent_files"], "1"),

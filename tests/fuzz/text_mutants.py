@@ -88,7 +88,7 @@ def damaged_content(content, rng):
         elif kind == 3 and isinstance(parent, dict):
             parent[f"{key}_"] = parent.pop(key)
         else:
-            parent[key] = ODD[int(rng.integers(len(ODD)))]
+            parent[key] = copy.deepcopy(ODD[int(rng.integers(len(ODD)))])
     return content
 
 
