@@ -112,3 +112,29 @@ def test_a_description_is_plain_json_and_says_everything_once(tmp_path):
     assert description["clipped"]["B"]["share_at_zero"] == 0
     assert description["provenance"]["black_used"] == "tag"
     assert description["exposure"] == {"time_s": 0.1, "iso": 55, "f_number": None, "focus_m": None}
+
+
+@pytest.mark.parametrize("shape", [(6, 6), (9, 7), (2 * 300, 44)], ids=str)
+@pytest.mark.parametrize("cfa", ["RGGB", "MONO"])
+def test_bad_pixels_are_those_of_a_filter_over_the_whole_plane(shape, cfa):
+    """Strips and whole numbers count the same as scipy's rank filters with a hole in the middle."""
+    from scipy import ndimage
+
+    from isetval.core.capture import plane_view, planes_of
+
+    rng = np.random.default_rng(8)
+    mosaic = np.minimum(rng.poisson(300.0, shape), 65535).astype(np.uint16)
+    mosaic.ravel()[rng.integers(0, mosaic.size, mosaic.size // 40 + 2)] = rng.integers(0, 65536, mosaic.size // 40 + 2)
+    capture = Capture.from_array(mosaic, cfa=cfa, bits=16, white_dn=65535)
+    ring = np.ones((3, 3), bool)
+    ring[1, 1] = False
+    hot = dead = 0
+    for plane in planes_of(capture):
+        whole = plane_view(capture, plane)[0].astype(float)
+        high, low = (f(whole, footprint=ring)[1:-1, 1:-1] for f in (ndimage.maximum_filter, ndimage.minimum_filter))
+        middle, span = whole[1:-1, 1:-1], high - low
+        limit = np.maximum(8 * np.maximum(span, np.median(span)) / 2.85, 8)
+        hot += int((middle - high > limit).sum())
+        dead += int((low - middle > limit).sum())
+    assert bad_pixels(capture) == {"hot": hot, "dead": dead}
+    assert hot or dead
