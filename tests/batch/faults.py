@@ -39,7 +39,7 @@ class Lab:
 
     def whole(self, name, engine=("--jobs", 2), captures=None):
         """A run to its end."""
-        code, _, err = finished(self.start(name, engine, captures))
+        code, _, err = finished(self.start(name, engine, captures), 1500)
         assert code == 0, err
         return result_of(self.folder / f"{name}.json")
 

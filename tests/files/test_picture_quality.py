@@ -137,4 +137,4 @@ def test_bad_pixels_are_those_of_a_filter_over_the_whole_plane(shape, cfa):
         hot += int((middle - high > limit).sum())
         dead += int((low - middle > limit).sum())
     assert bad_pixels(capture) == {"hot": hot, "dead": dead}
-    assert hot or dead
+    assert hot + dead > 100 or mosaic.size < 100
