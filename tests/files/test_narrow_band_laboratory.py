@@ -205,3 +205,17 @@ def test_narrow_band_has_the_light_of_a_gaussian():
     assert np.trapezoid(band.values, band.wavelength_nm) == pytest.approx(2.0 * 10 * np.sqrt(np.pi / np.log(16)), rel=1e-3)
     assert isinstance(band, Spectrum)
     assert band.at([300.0, 800.0]) == pytest.approx([0, 0])
+
+
+def test_rounding_of_even_pictures_is_part_of_the_sigma_of_a_patch():
+    from isetval.measure.analyses.patches import rounding_error_dn
+
+    rng = np.random.default_rng(5)
+    for noise in (0.0, 0.2, 0.35):
+        errors = []
+        for level in np.arange(0, 1, 0.01) + 20:
+            pixels = np.round(level + rng.normal(0, noise, 20_000))
+            errors.append(pixels.mean() - level)
+        codes = np.sqrt((noise**2 + 1 / 12) / 400)
+        # higher harmonics of a picture without noise: 1/sqrt(12) against 1/(pi sqrt 2)
+        assert rounding_error_dn(codes, 400) == pytest.approx(np.std(errors), rel=0.25, abs=0.005)

@@ -73,10 +73,26 @@ def _patch_rows(shot: Shot, captures: Sequence[Capture], conditions: dict[str, A
     for i, (patch, box) in enumerate(zip(patches, boxes, strict=True)):
         for j, plane in enumerate(result.planes):
             value, sigma = result.mean_dn[i, j], max(result.temporal_sigma_dn[i, j], LEAST_SIGMA_DN)
+            if shot.levels_only:
+                sigma = math.hypot(sigma, rounding_error_dn(sigma, _pixels(box, len(result.planes))))
             if result.clipped_share[i, j] < CLIPPED_SHARE and math.isfinite(value):
                 row = metric(conditions, "patch_mean", value, sigma, "DN", channel=plane, patch=patch.name, **more)
                 rows.append((row, _pattern(shot, plane, box), float(result.fixed_sigma_dn[i, j])))
     return rows
+
+
+def _pixels(box: Sequence[int], planes: int) -> int:
+    return (box[1] - box[0]) * (box[3] - box[2]) // planes
+
+
+def rounding_error_dn(sigma_dn: float, pixels: int) -> float:
+    """What rounding to whole codes leaves in the mean of pixels that all have nearly one value, as averaged pictures do.
+
+    Standard deviation over the phase of the first harmonic of the rounding's mean error, exp(-2 pi^2 s^2) / (pi sqrt 2),
+    s the pixels' noise in codes before rounding; above half a code it is nothing (Widrow and Kollar, Quantization Noise).
+    """
+    variance = max(sigma_dn**2 * pixels - 1 / 12, 0.0)
+    return math.exp(-2 * math.pi**2 * variance) / (math.pi * math.sqrt(2))
 
 
 def _pattern(shot: Shot, plane: str, place: Sequence[float]) -> str:
