@@ -18,6 +18,7 @@ from isetval.core.sensor import Roi, RoiLike
 
 Float = NDArray[np.float64]
 FWHM_SIGMAS = math.sqrt(8 * math.log(2))  # full width of a Gaussian at half maximum
+CUT_NM = 1e-3  # a table is held at its ends: a zero right beside them
 BAND_SIGMAS, BAND_POINTS = 4.0, 81  # 6e-5 of the light lies beyond; steps of a tenth of a sigma
 
 
@@ -111,6 +112,22 @@ def narrow_band(peak_nm: float, width_nm: float, scale: float = 1.0) -> Spectrum
     values = np.exp(-(offset**2) / 2)
     values[[0, -1]] = 0.0  # a table is held at its ends
     return Spectrum(peak_nm + width_nm / FWHM_SIGMAS * offset, scale * values)
+
+
+def band_limited(spectrum: Spectrum, low_nm: float, high_nm: float) -> Spectrum:
+    """The spectrum between two wavelengths and nothing outside.
+
+    Raises
+    ------
+    InputError
+        If the table has fewer than two wavelengths between them.
+    """
+    inside = (spectrum.wavelength_nm >= low_nm) & (spectrum.wavelength_nm <= high_nm)
+    if inside.sum() < 2:
+        raise InputError(f"the table has {inside.sum()} wavelengths between {low_nm:g} and {high_nm:g} nm; it needs two or more")
+    grid = spectrum.wavelength_nm[inside]
+    values = spectrum.values[inside]
+    return Spectrum([grid[0] - CUT_NM, *grid, grid[-1] + CUT_NM], [0.0, *values, 0.0])  # type: ignore[arg-type]
 
 
 ORIENTATIONS = ("vertical", "horizontal")

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.core.scene import Spectrum, narrow_band
+from isetval.core.scene import Spectrum, band_limited, narrow_band
 from isetval.core.sensor import RoiLike, Sensor, Window, pattern_at
 from isetval.files.draft_types import DraftLight, DraftShot, DraftTarget, Seen
 from isetval.files.file_facts import FileFacts
@@ -17,7 +18,7 @@ from isetval.files.folder_words import PUBLISHED
 from isetval.files.light_levels import dark_levels, green_dn, green_rate, known_exposure, lit_setups, scale_for
 from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup, repeats
-from isetval.files.spectra_search import FolderSpectra, chart_reflectances
+from isetval.files.spectra_search import FolderSpectra, band_limits, chart_reflectances
 
 WHITE, BRIGHT = 0.9, 0.8  # reflectance of a chart's white patch, and of an edge's bright side where no flat tells
 WHITE_CLIPS = 0.9  # of the range: noise and the chart's own unevenness reach white beyond
@@ -25,6 +26,8 @@ LARGE_PX = 1_000_000  # frames beyond are looked at in parts: a fit shoots every
 MIDDLE_PART_PX, FIELD_PART_PX = 256, 64  # darks and flats share the middle, so that read noise and gain belong together
 FIELD_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5),
                 (0.95, 0.95), (-0.95, 0.95), (0.95, -0.95), (-0.95, -0.95))  # fmt: skip
+LEAST_TILT_DN, LEAST_TILT_PATCHES = 10.0, 8  # patches that tell how evenly a chart was lit: codes of 10 err by 5 %
+CLEAR_DN = 30.0  # half a code of offset is 2 % of it
 BAND_NM = 10.0  # full width of the filters that laboratories buy for narrow bands; a measured table takes its place
 SURROUND_PX = 24  # of a registered region: what its lens blurs into it
 
@@ -43,6 +46,7 @@ class Drafting:
     lights: dict[str, DraftLight] = field(default_factory=dict)
     made: dict[int, list[str]] = field(default_factory=dict)
     rates: dict[str, float] = field(default_factory=dict)
+    tilts: list[float | None] = field(default_factory=list)
 
     def add(self, index: int, shot: DraftShot) -> None:
         """One more shot, made of the group with this number."""
@@ -152,7 +156,9 @@ def _unscaled_light(work: Drafting, name: str, group: ShotGroup) -> tuple[DraftL
     wavelength = group.first.wavelength_nm
     measured = work.folder_spectra.band(wavelength)
     if measured is not None:
-        return DraftLight(name, measured[1], 1.0, False, file=measured[0]), measured[2]
+        limits = band_limits(measured[2])
+        light = DraftLight(name, measured[1], 1.0, False, file=measured[0], within_nm=limits)
+        return light, measured[2] if limits is None else band_limited(measured[2], *limits)
     if wavelength:
         return DraftLight(name, "", 1.0, False, band_nm=(wavelength, BAND_NM)), narrow_band(wavelength, BAND_NM)
     column = name if name in PUBLISHED.values() else "E"
@@ -242,6 +248,7 @@ def _add_chart(work: Drafting, index: int, group: ShotGroup, light: str, level: 
     chart = work.seen[index].content.chart
     if chart is None:
         return
+    work.tilts.append(_light_tilt(work, chart, work.lights[light], work.seen[index].group.first.span_dn))
     window = placed(group.first, work.sensor)
     rows, cols = (np.array([box[k] for box in chart.boxes]) for k in (slice(0, 2), slice(2, 4)))
     pitch = int(np.median(rows[:, 1] - rows[:, 0]))
@@ -252,6 +259,54 @@ def _add_chart(work: Drafting, index: int, group: ShotGroup, light: str, level: 
     pose = f", turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane" if not chart.disks else ""
     comment = work.seen[index].content.why + pose
     work.add(index, DraftShot(name, "chart", group, part, _setup(group), comment, light, level, target))
+
+
+def _light_tilt(work: Drafting, chart: ChartPose, light: DraftLight, span_dn: float) -> float | None:
+    """How much the light on a chart of known reflectances rises from its middle to its rim, the larger way; None if unknown."""
+    expected = np.array(chart.reflectances) if chart.disks else _known_reflectances(work, chart, light)
+    if expected is None:
+        return None
+    channel = int(np.argmax(chart.levels_dn[chart.white]))
+    level = chart.levels_dn[:, channel]
+    rows, cols = (np.array([(box[k] + box[k + 1]) / 2 for box in chart.boxes]) for k in (0, 2))
+    y, x = ((v - v.mean()) / max(float(np.abs(v - v.mean()).max()), 1.0) for v in (rows, cols))
+    open_ = (level < WHITE_CLIPS * span_dn) & (level > LEAST_TILT_DN)
+    if open_.sum() < LEAST_TILT_PATCHES:
+        return None
+    design = (expected * np.stack([np.ones(x.size), x, y])).T[open_] / expected[open_, None]
+    found = np.linalg.lstsq(design, (level / expected)[open_], rcond=None)[0]
+    return float(np.abs(found[1:] / found[0]).max())
+
+
+def bracket_scatter(work: Drafting) -> tuple[float, int] | None:
+    """Scatter of the light from exposure to exposure of one chart, relative, and the pairs that tell it; None without pairs.
+
+    Each pair of exposures is compared by the patches that are open and clear of the rounding in both.
+    """
+    logs = []
+    charts = [(one.group, one.content.chart) for one in work.seen if one.content.chart is not None]
+    for i, (group, chart) in enumerate(charts):
+        for other, theirs in charts[i + 1 :]:
+            same = _setup(group) == _setup(other) and len(chart.levels_dn) == len(theirs.levels_dn)
+            if not same or group.first.exposure.time_s == other.first.exposure.time_s:
+                continue
+            both = (chart.levels_dn > CLEAR_DN) & (theirs.levels_dn > CLEAR_DN)
+            both &= (chart.levels_dn < WHITE_CLIPS * group.first.span_dn) & (theirs.levels_dn < WHITE_CLIPS * group.first.span_dn)
+            if both.sum() >= LEAST_TILT_PATCHES:
+                ratio = chart.levels_dn[both].sum() / theirs.levels_dn[both].sum() * _light_time(other) / _light_time(group)
+                logs.append(math.log(ratio))
+    return (math.sqrt(float(np.mean(np.square(logs))) / 2), len(logs)) if logs else None
+
+
+def _known_reflectances(work: Drafting, chart: ChartPose, light: DraftLight) -> NDArray[np.float64] | None:
+    """Reflectances of the patches in a narrow band, by the tables of the folder; None unless all are there."""
+    own = [found for name in chart.names if (found := work.folder_spectra.reflectance(name)) is not None]
+    band = next((found[2] for found in work.folder_spectra.bands.values() if found[1] == light.column), None)
+    if len(own) < len(chart.names) or band is None:
+        return None
+    spectrum = band_limited(band, *light.within_nm) if light.within_nm else band
+    weight = spectrum.values / spectrum.values.sum()
+    return np.array([float(weight @ one[2].at(spectrum.wavelength_nm)) for one in own])
 
 
 def _light_time(group: ShotGroup) -> float:

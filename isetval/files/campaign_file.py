@@ -14,7 +14,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
-from isetval.core.scene import Spectrum, Target, narrow_band, read_spectra
+from isetval.core.scene import Spectrum, Target, band_limited, narrow_band, read_spectra
 from isetval.core.sensor import Exposure, Sensor, Window
 from isetval.core.toml import PACKAGE_PREFIX, check_keys, inside, named_file, number, numbers, read_toml, tables, text, texts
 from isetval.files.captures import FileCaptures
@@ -208,7 +208,7 @@ def _tables(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]
 
 def _light(name: str, entry: Any, path: Path) -> Light:
     where = f"{path}: [light.{name}]"
-    entry = check_keys(entry, where, known=("radiance", "column", "scale", "peak_nm", "width_nm", "notes"))
+    entry = check_keys(entry, where, known=("radiance", "column", "scale", "peak_nm", "width_nm", "within_nm", "notes"))
     scale = number(entry, "scale", where, 1.0)
     if "radiance" not in entry:
         return Light(name, _band(entry, where, scale))
@@ -220,7 +220,14 @@ def _light(name: str, entry: Any, path: Path) -> Light:
     column = text(entry, "column", where) or next(iter(spectra))
     if column not in spectra:
         raise InputError(f"{where}: {file} has no column {column!r}; it has {', '.join(spectra)}")
-    scaled = Spectrum(spectra[column].wavelength_nm, spectra[column].values * scale) if scale != 1 else spectra[column]
+    chosen = spectra[column]
+    if "within_nm" in entry:
+        low, high = numbers(entry, "within_nm", where, lengths=(2,))
+        try:
+            chosen = band_limited(chosen, low, high)
+        except InputError as error:
+            raise InputError(f"{where}: within_nm: {error}") from None
+    scaled = Spectrum(chosen.wavelength_nm, chosen.values * scale) if scale != 1 else chosen
     return Light(name, scaled, file=str(named_file(file, path.parent)), column=column)
 
 

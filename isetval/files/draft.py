@@ -16,7 +16,7 @@ from isetval.core.scene import read_spectra
 from isetval.core.sensor import Sensor
 from isetval.core.toml import PACKAGE_PREFIX, data_folder
 from isetval.core.writing import write_whole
-from isetval.files.campaign_drafting import Drafting, drafted
+from isetval.files.campaign_drafting import Drafting, bracket_scatter, drafted
 from isetval.files.draft_priors import camera_words, light_priors, target_priors
 from isetval.files.draft_text import draft_text
 from isetval.files.draft_types import Draft, DraftLight, DraftPrior, Seen
@@ -165,7 +165,10 @@ def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:
     by_name = {shot.name: shot for shot in work.shots}
     again = {(s.setup, by_name[s.repeat_of].setup) for s in work.shots if s.repeat_of and s.role == "flat"}
     roles = {shot.role for shot in work.shots}
-    return (*light_priors(flats, setups, sorted(again), list(work.lights.values()), roles), *target_priors(roles))
+    tilts = [tilt for tilt in work.tilts if tilt is not None]
+    targets = target_priors(roles, tilt=max(tilts, default=None))
+    lights = list(work.lights.values())
+    return (*light_priors(flats, setups, sorted(again), lights, roles, bracket_scatter(work)), *targets)
 
 
 def _spectrum_words(light: DraftLight) -> str:

@@ -19,6 +19,7 @@ NARROW_QE = 0.5  # ours: data sheets draw a filter's curve for its middle, not f
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
 BOW_SHARE = 0.25  # of the tilt's width: ratios of black bodies 2700 to 3000 K and 5500 to 6500 K bend by .14 to .26 of their tilt
+UNEVEN = 0.1  # of a tilt: of smaller ones the bend is below the 2 % that charts are lit to anyway
 LEAST_DARK_DN = 0.5  # mean of a dark without an offset: fewer than half of its pixels leave code 0
 DARK_SIDE_PX = 256  # 65 536 pixels give read noise to .3 %
 
@@ -52,14 +53,18 @@ def light_priors(
     repeated: Sequence[tuple[str, str]],
     lights: Sequence[DraftLight],
     roles: set[str],
+    bracket: tuple[float, int] | None = None,
 ) -> list[DraftPrior]:
-    """Priors on the level, steadiness, evenness and colour of the light."""
+    """Priors on the level, steadiness, evenness and colour of the light; ``bracket`` is the scatter of a chart's exposures."""
     scatter, steady = level_scatter(setups, repeated), flicker(flats)
     if scatter is None:
         level = (SETUP_LEVEL, "CHECK: nothing was set up twice, so this is an assumption")
     else:
         level = (max(scatter[0], LEAST_SETUP_LEVEL), f"found: scatter of {scatter[1]} set-ups that were made again")
-    if steady is None:
+    if steady is None and bracket is not None:
+        words = f"found: scatter of {bracket[1]} pairs of exposures of one chart, per unit of exposure time"
+        per_frame = (max(bracket[0], LEAST_FLICKER), words)
+    elif steady is None:
         per_frame = (0.002, "CHECK: no flat has two frames, so this is an assumption")
     else:
         per_frame = (max(steady[0], LEAST_FLICKER), f"found: scatter of the means of {steady[1]} flat frames beyond pixel noise")
@@ -92,8 +97,8 @@ def light_priors(
     return out
 
 
-def target_priors(roles: set[str]) -> list[DraftPrior]:
-    """Priors on the pose and brightness of targets, for the roles that a campaign has."""
+def target_priors(roles: set[str], *, tilt: float | None = None) -> list[DraftPrior]:
+    """Priors on the pose and brightness of targets, for the roles that a campaign has; ``tilt`` was read off charts."""
     out = []
     if "edge" in roles:
         out += [
@@ -107,7 +112,13 @@ def target_priors(roles: set[str]) -> list[DraftPrior]:
     if "chart" in roles:
         for axis in ("x", "y"):
             words = "CHECK: how evenly was the chart lit?"
-            out.append(DraftPrior(f"target_tilt_{axis}", 0.02, "relative", "set-up", words, ("chart",)))
+            if tilt is not None:
+                words = f"found: patches over their reflectances rise by up to {100 * tilt:.0f} % from the middle to the rim"
+            width = max(0.02, tilt or 0.0)
+            out.append(DraftPrior(f"target_tilt_{axis}", width, "relative", "set-up", words, ("chart",)))
+            if width > UNEVEN:
+                words = "light that falls off so much also bends: the square of its fall"
+                out.append(DraftPrior(f"target_bow_{axis}", width**2, "relative", "set-up", words, ("chart",)))
     return out
 
 

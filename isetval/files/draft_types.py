@@ -28,8 +28,8 @@ class DraftTarget:
 class DraftLight:
     """A light and its scale; ``level_known`` says whether a camera gave it.
 
-    Its spectrum is a column of ``file`` (empty: the published ones), or a narrow band (peak and width in nm); ``told``
-    says whether its level is stated.
+    Its spectrum is a column of ``file`` (empty: the published ones), ``within_nm`` alone of it, or a narrow band (peak and
+    width in nm); ``told`` says whether its level is stated.
     """
 
     name: str
@@ -39,6 +39,7 @@ class DraftLight:
     told: bool = False
     file: str = ""
     band_nm: tuple[float, float] | None = None
+    within_nm: tuple[float, float] | None = None
 
     @property
     def narrow(self) -> bool:

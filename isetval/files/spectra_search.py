@@ -15,6 +15,7 @@ from isetval.files.target_file import MOST_FACTOR
 
 WAVELENGTH = re.compile(r"(?<![\d.])(\d{3,4}(?:\.\d+)?)\s*nm(?![a-z])", re.IGNORECASE)
 NEAR_NM = 15.0  # ours: filters are sold by a nominal wavelength that their peak misses by up to a band's width
+BROADEST_NM = 40.0  # of a band-pass filter; a broader light is no band
 MOST_BYTES = 50_000_000  # a table of spectra has thousands of numbers; a larger CSV is something else
 VISIBLE_NM = (380.0, 780.0)
 
@@ -58,6 +59,21 @@ def find_spectra(folder: Path) -> FolderSpectra:
             elif _sends_light(spectrum):
                 bands.setdefault(float(wavelength[1]), (file, column, spectrum))
     return FolderSpectra(bands, named)
+
+
+def band_limits(spectrum: Spectrum) -> tuple[float, float] | None:
+    """Wavelengths three widths off the peak of a band-pass filter, between which its table counts; None for a broad light."""
+    seen = (spectrum.wavelength_nm >= VISIBLE_NM[0]) & (spectrum.wavelength_nm <= VISIBLE_NM[1])
+    grid, values = spectrum.wavelength_nm[seen], spectrum.values[seen]
+    peak = int(np.argmax(values))
+    below = np.flatnonzero(values < values[peak] / 2)
+    left, right = below[below < peak], below[below > peak]
+    if not left.size or not right.size:
+        return None
+    width = float(grid[right[0]] - grid[left[-1]])
+    if width > BROADEST_NM:
+        return None
+    return (round(float(grid[peak]) - 3 * width, 1), round(float(grid[peak]) + 3 * width, 1))
 
 
 def chart_reflectances(spectra: FolderSpectra, names: Sequence[str]) -> list[str] | None:
