@@ -1,56 +1,77 @@
-"""Compare, diagnose, add, and the error on captures left out: other exposures, another wavelength, the other visit."""
+"""What was found goes into the model, and the error on captures left out is compared: a band, two exposures, the other visit.
+
+The response (offset, bend) is fitted on the charts without 650 nm, .25 s and 2 s; each model is then held against exactly these,
+and against the disks of the first visit.  ``diagnose=True`` asks isetval for the missing effect by itself (half an hour).
+"""
 
 # %%
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 import isetval
 from analyses.flea3.common import Laboratory
+from analyses.flea3.levels import Rows, linearity
 from isetval.core.campaign import Campaign
+from isetval.effects import catalogue
 
 Say = Callable[[str], None]
-USED_S, HELD_S = (0.1, 0.5), (0.25, 2.0)  # of seven times: two to learn from, two to confirm on
-HELD_LIGHT = "650nm"
+HELD_S, HELD_LIGHT = (0.25, 2.0), "650nm"
+DISK_S = (0.1, 0.5)
 
 
-def part(campaign: Campaign, times: tuple[float, ...], *, without: str = "", only: str = "") -> Campaign:
-    """The lit shots of some exposures, and the darks of all."""
-    kept = [
-        s.name
-        for s in campaign.shots
-        if s.role == "dark" or (s.exposure.time_s in times and s.light != without and (not only or s.light == only))
-    ]
-    return campaign.only(kept)
+def part(campaign: Campaign, times: tuple[float, ...], *, only: str = "") -> Campaign:
+    """The lit shots of some exposures, of one light or all."""
+    return campaign.only(
+        s.name for s in campaign.shots if s.role != "dark" and s.exposure.time_s in times and only in ("", s.light)
+    )
 
 
-def verdict(laboratory: Laboratory, model: isetval.CameraModel, *, jobs: int = 2, say: Say | None = None) -> dict[str, object]:
-    """The diagnosis of the charts, and mean-square z of the first and last model on what was left out."""
-    charts = laboratory.charts
-    used, held = part(charts, USED_S), part(charts, HELD_S)
-    found = isetval.diagnose(model, used, held, jobs=jobs, say=say, with_next_captures=False)
-    better = found.apply() if found.effects else None
-    out: dict[str, object] = {"diagnosis": found.to_json(), "used_s": list(USED_S), "held_s": list(HELD_S)}
+def without(rows: Rows) -> Rows:
+    """The rows that the response may be fitted to."""
+    keep = ~np.isin(rows.time_s, HELD_S) & (rows.light != rows.lights.index(HELD_LIGHT))
+    arrays = {k: getattr(rows, k)[keep] for k in ("light", "channel", "patch", "time_s", "value", "sigma")}
+    return replace(rows, **arrays)
+
+
+def steps(model: isetval.CameraModel, line: dict[str, Any]) -> list[isetval.CameraModel]:
+    """The nominal model, with the offset, and with the bend as well."""
+    offset = replace(model.with_values({"black_level.offset_dn": line["offset_dn"][0]}), name="with the offset")
+    full = model.sensor.white_dn / model.value("conversion_gain.gain_dn_per_e")
+    bend = catalogue()["nonlinearity"](a=line["bend"][0], well_e=full)
+    return [model, offset, replace(offset.with_effect(bend), name="with offset and bend")]
+
+
+def verdict(
+    laboratory: Laboratory, model: isetval.CameraModel, rows: Rows, *, diagnose: bool, say: Say | None = None
+) -> dict[str, Any]:
+    """Mean-square z of the steps on what was left out; with ``diagnose`` the catalogue's answer too."""
+    line = linearity(without(rows))
+    models = steps(model, line)
     outside = {
-        "other exposures": held,
-        f"another wavelength ({HELD_LIGHT})": part(charts, HELD_S, only=HELD_LIGHT),
-        "the other visit (disks)": part(laboratory.disks, HELD_S),
+        f"charts, {HELD_LIGHT} at .25 and 2 s": part(laboratory.charts, HELD_S, only=HELD_LIGHT),
+        "disks of the other visit": part(laboratory.disks, DISK_S),
     }
-    out["left_out"] = {name: ladder(model, better, campaign, say) for name, campaign in outside.items()}
+    out: dict[str, Any] = {
+        "offset_dn": line["offset_dn"],
+        "bend": line["bend"],
+        "left_out": {name: ladder(models, campaign, say) for name, campaign in outside.items()},
+    }
+    if diagnose:
+        learned = part(laboratory.charts, (0.1, 0.5))
+        out["diagnosis"] = isetval.diagnose(
+            model, learned, part(laboratory.charts, HELD_S), say=say, with_next_captures=False
+        ).to_json()
     return out
 
 
-def ladder(
-    model: isetval.CameraModel, better: isetval.CameraModel | None, campaign: Campaign, say: Say | None
-) -> list[dict[str, object]]:
-    """Mean-square z and relative error by family of one model or both, nuisances refitted."""
-    models = [model.sampled_as(campaign.sensor)]
-    if better is not None:
-        from dataclasses import replace
-
-        models.append(replace(better, name=f"{model.name} as diagnosed", sensor=models[0].sensor))
-    rows = isetval.compare(models, campaign, say=say).ladder
-    return [
-        {k: getattr(row, k) for k in ("model", "family", "n", "mean_square_z", "rms_relative_error") if hasattr(row, k)}
-        for row in rows
-    ]
+def ladder(models: list[isetval.CameraModel], campaign: Campaign, say: Say | None) -> list[dict[str, Any]]:
+    """Mean-square z and relative error of each model over all families, nuisances refitted."""
+    sampled = [m.sampled_as(campaign.sensor) for m in models]
+    rows = isetval.compare(sampled, campaign, say=say).ladder
+    names = ("model", "family", "n", "mean_square_z", "rms_relative_error")
+    return [{k: getattr(row, k) for k in names} for row in rows if row.family != "all"]

@@ -108,8 +108,17 @@ def weigh(problem: Problem) -> None:
     covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
     for column in _frame_columns(problem):
         covariance = covariance + np.outer(column, column)
+    covariance = covariance + np.diag(_rounding(problem, np.diag(covariance)))
     problem.covariance = covariance
     problem.whiten = whitener(covariance[np.ix_(keep, keep)])
+
+
+def _rounding(problem: Problem, variance: Float) -> Float:
+    """What measured rows of resampled pictures scatter beyond simulated ones, whose noise hides the rounding, (metrics,)."""
+    table = problem.predictor.table
+    resampled = {shot.name for shot in problem.plan.shots if shot.levels_only}
+    rows = np.array([m.shot in resampled for m in table.metrics], bool)
+    return np.where(rows, np.maximum(table.sigma**2 - variance, 0.0), 0.0)
 
 
 def _light_slope(problem: Problem, step: float) -> Float:
