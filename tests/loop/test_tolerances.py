@@ -90,3 +90,11 @@ def test_a_pull_beyond_what_all_allow_is_told(case):
     assert "+10.0 prior sigmas" in words
     assert not pulled([("the captures used", fitted)], alpha=1e-30)
     assert misfit("the metrics", problem, fitted)  # 100 on 12 values
+
+
+def test_a_tolerance_of_a_camera_parameter_ends_where_the_parameter_does():
+    nominal = isetval.load_model(data_folder() / "pixel4a")
+    prior = Nuisance("pixel_aperture.width_px", 5.0, "px", "campaign")
+    shot = Shot("d", "dark", exposure=isetval.Exposure(0.01))
+    (free,) = nuisance_parameters(Campaign("bounds", (shot,), nuisances=(prior,), sensor=nominal.sensor), nominal)
+    assert (free.low, free.high) == (-1.0, 1.0)  # a width of 1 px may be 0 to 2
