@@ -199,7 +199,8 @@ def _refitted(case: Investigation, say: Say, *, first: bool) -> list[Hypothesis]
     for names in _proposals(case, first=first):
         if len(tried) >= (LONG_LIST if first and _may_bend(case, names) else SHORT_LIST):
             continue
-        if not first and case.table.logs[names] < max(case.score(h) for h in case.known.values()) - CLOSE_LOG_ODDS:
+        best = max(case.score(h) for h in case.known.values())
+        if not first and case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing)):
             break
         say(f"fitting {', '.join(sorted(names))}")
         found = in_best_form(case, fitted_jointly(case, names), say)
