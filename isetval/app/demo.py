@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isetval.app.report_pictures import comparison_pictures
 from isetval.core.cache import file_hash
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
@@ -147,6 +148,7 @@ def run_demo(
         "diagnosis": {"model": nominal.name, "campaign": campaign.name, **diagnosis.to_json()},
         "after": after.to_json(),
         "ladder": [vars(row) for row in after.ladder],
+        "pictures": comparison_pictures(after.models, campaign),
         "report": str((folder / "report.html").resolve()),
         "folder": str(folder),
         "added": model.name if model is not nominal else None,

@@ -13,6 +13,7 @@ from isetval.core.errors import InputError
 AGAIN = ("measure", "compare", "identify", "diagnose", "effects", "lens")
 """Commands that make numbers and write nothing but the result that -o names."""
 MAX_LISTED = 20
+NOT_NUMBERS = ("provenance", "pictures")
 Run = Callable[[], tuple[Mapping[str, Any], Mapping[str, str]]]
 
 
@@ -93,7 +94,7 @@ def rerun_result(result: Mapping[str, Any], run: Run, *, rtol: float = 1e-9) -> 
         again, inputs = run()
     except InputError as error:
         raise InputError(f"the command failed now: {error}") from None
-    old, new = (dict(_leaves({k: v for k, v in r.items() if k != "provenance"})) for r in (result, again))
+    old, new = (dict(_leaves({k: v for k, v in r.items() if k not in NOT_NUMBERS})) for r in (result, again))
     places = {**old, **new}
     moved = [Moved(place, old.get(place), new.get(place)) for place in places if not _same(old.get(place), new.get(place), rtol)]
     made = result["provenance"]

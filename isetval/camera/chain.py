@@ -170,6 +170,12 @@ def _run_front(
     return signal
 
 
+def build_signal(model: Camera, setup: ShotSetup) -> Signal:
+    """The radiance of a shot's scene, in front of the first effect of the optics (not for rendered scenes)."""
+    context = make_context(model, setup)
+    return _radiance(_scene(model, front_effects(model), setup, context), context, Rendering())
+
+
 def _scene(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, context: Context) -> Scene:
     scene = build_scene(setup.shot, setup.light, model.wavelength_nm, context)
     for effect in effects:

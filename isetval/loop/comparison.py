@@ -15,6 +15,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, Metric
 from isetval.core.shown import Drawn
+from isetval.loop.error_budget import BudgetRow, error_budget
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import degrees_spent, expected_mean_square, square, whitener
 from isetval.loop.given_side import given_rows
@@ -132,7 +133,8 @@ class Comparison(Drawn):
 
     ``table`` has one row per metric and model with measured, simulated, sigma and z (z alone, not
     whitened) and its ``basis``: *calibration* where an effect of that model was fitted to these captures, else
-    *prediction*; ``ladder`` the families; ``nuisances`` the fitted unknowns of the laboratory.
+    *prediction*; ``ladder`` the families; ``nuisances`` the fitted unknowns of the laboratory; ``budget`` what the
+    differences are made of.
     """
 
     table: pd.DataFrame
@@ -142,6 +144,7 @@ class Comparison(Drawn):
     models: tuple[CameraModel, ...]
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    budget: tuple[BudgetRow, ...] = ()
 
     def headline(self) -> str:
         """Mean-square z of every model, and where the first fails most."""
@@ -172,6 +175,7 @@ class Comparison(Drawn):
             "table": json.loads(self.table.to_json(orient="records")),
             "notes": list(self.notes),
             "settings": dict(self.settings),
+            "budget": [vars(row) for row in self.budget],
         }
 
 
@@ -216,10 +220,12 @@ def comparison_of(prepared: Prepared, models: Sequence[CameraModel]) -> Comparis
     import pandas as pd
 
     frames, nuisances = [], {}
+    budget: list[BudgetRow] = []
     for model in models:
         fitted = prepared.fit_nuisances(model)
         frames.append(_rows(prepared, model, fitted))
         nuisances[model.name] = {f.label: fitted.value(f.label) for f in fitted.free}
+        budget += error_budget(prepared.problem_for(model), fitted, model.name)
     return Comparison(
         table=pd.concat(frames, ignore_index=True),
         ladder=tuple(ladder_rows(prepared, models)),
@@ -227,6 +233,7 @@ def comparison_of(prepared: Prepared, models: Sequence[CameraModel]) -> Comparis
         nuisances=nuisances,
         models=tuple(models),
         notes=prepared.table.notes,
+        budget=tuple(budget),
         settings={"replicas": prepared.problem.base.replicas, "metrics": int(prepared.problem.keep.size)},
     )
 

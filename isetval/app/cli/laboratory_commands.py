@@ -80,11 +80,13 @@ def demo(args: argparse.Namespace, console: Console) -> Outcome:
     """Shoot the embedded plan with a camera in which one effect is hidden; compare, diagnose, add, compare again; reveal."""
     from isetval.app.cli.loop_words import demo_lines
     from isetval.app.demo import DEFAULT_SEED, run_demo
+    from isetval.loop.telling import Teller
 
     seed = DEFAULT_SEED if args.seed is None else args.seed
     folder = Path(args.output or "isetval-demo")
 
-    found = run_demo(seed, folder=folder, hide=args.hide, jobs=args.jobs, step=console.step, say=console.say)
+    told = Teller(console.say, console.progress)
+    found = run_demo(seed, folder=folder, hide=args.hide, jobs=args.jobs, step=console.step, say=told)
     return Outcome(found, demo_lines(found), FINE)
 
 

@@ -146,6 +146,7 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
     from isetval.app.cli.loop_words import comparison_lines
     from isetval.app.limits import broken, load_limits
+    from isetval.app.report_pictures import comparison_pictures
     from isetval.camera.model_file import model_path
     from isetval.core.cache import file_hash
 
@@ -156,6 +157,9 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say, progress=console.progress)
     inputs |= campaign.captures.hashes
     result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
+    if args.output is not None:  # the page that is drawn from the result shows them
+        console.say("drawing captures beside simulations")
+        result["pictures"] = comparison_pictures(found.models, campaign)
     faults = broken(limits, result["ladder"])
     lines = comparison_lines(result) + [f"outside limits: {fault}" for fault in faults]
     if limits:
@@ -179,9 +183,10 @@ def identify(args: argparse.Namespace, console: Console) -> Outcome:
     """Tell, before anything is measured, which effects a plan would show, how well, and which it could not tell apart."""
     import isetval
     from isetval.app.cli.loop_words import identify_lines
+    from isetval.loop.telling import Teller
 
     model, plan, inputs = load_both(args.model, args.plan)
-    found = isetval.identify(model, plan, seed=args.seed, jobs=args.jobs, say=console.say)
+    found = isetval.identify(model, plan, seed=args.seed, jobs=args.jobs, say=Teller(console.say, console.progress))
     result = {"kind": "identify", "plan": plan.name, "model": model.name, **found.to_json()}
     return Outcome(result, identify_lines(result), FINE, inputs, result["parameters"])
 

@@ -7,21 +7,23 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from isetval.app.report import charts
-from isetval.app.report.family_plots import family_plot
-from isetval.app.report.form_plot import form_plot
-from isetval.app.words import (
-    VERDICT_WORDS,
-    effect_words,
-    probability_words,
-    relative_words,
-    shortfall_words,
-    state_of,
-    verdict_words,
-    with_sigma,
+from isetval.app.report.budget_parts import budget, crops, light_paths, pictures_of
+from isetval.app.report.comparison_parts import (
+    by_model_of,
+    csv_text,
+    failing,
+    failing_views,
+    held_rows,
+    ladder,
+    ladder_table,
+    match,
+    residuals,
+    views,
 )
+from isetval.app.report.diagnosis_parts import candidates, in_sample, missing
+from isetval.app.words import VERDICT_WORDS, shortfall_words, state_of, verdict_words, with_sigma
 
 Row = Mapping[str, Any]
-SYMBOL = {"agrees": "✓", "doubtful": "?", "fails": "✗", "unknown": "–"}
 TONE = {
     "consistent": "good",
     "attributed": "good",
@@ -30,21 +32,6 @@ TONE = {
     "unexplained": "bad",
     "gate_failed": "bad",
 }
-CSV_COLUMNS = (
-    "model",
-    "family",
-    "name",
-    "channel",
-    "shot",
-    "region",
-    "patch",
-    "frequency_cy_px",
-    "unit",
-    "measured",
-    "simulated",
-    "sigma",
-    "z",
-)
 
 
 def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -53,51 +40,36 @@ def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     diagnosis = demo["diagnosis"] if demo else next((r for r in results if "verdict" in r and "effects" in r), None)
     comparison = demo["after"] if demo else next((r for r in results if "table" in r and "ladder" in r), None)
     measured = [r for r in results if r.get("kind") == "measure"]
-    ladder = _held_rows((comparison or diagnosis or {}).get("ladder", []))
-    models, columns, families = _ladder(ladder)
-    by_model = _by_model(comparison)
+    rows = held_rows((comparison or diagnosis or {}).get("ladder", []))
+    models, columns, families = ladder(rows)
+    by_model = by_model_of(comparison)
+    pictures = pictures_of(results)
     return {
         "title": _title(demo, diagnosis, comparison, measured),
         "headline": _headline(diagnosis, models, columns),
-        "match": _match(models, columns),
-        "failing": _failing(comparison, models, columns),
-        "missing": _missing(diagnosis, demo),
+        "match": match(models, columns),
+        "failing": failing(comparison, models, columns),
+        "missing": missing(diagnosis, demo),
         "bars": charts.ladder_bars(families, columns) if columns else "",
         "models": models,
-        "ladder": _ladder_table(models, columns, families),
-        "in_sample": _in_sample(diagnosis),
-        "failing_views": _failing_views(by_model, columns),
-        "views": _views(by_model),
-        "residuals": _residuals(by_model, families),
-        "candidates": _candidates(diagnosis),
+        "ladder": ladder_table(models, columns, families),
+        "in_sample": in_sample(diagnosis),
+        "failing_views": failing_views(by_model, columns),
+        "views": views(by_model),
+        "residuals": residuals(by_model, families),
+        "budget": budget(comparison),
+        "crops": crops(pictures),
+        "light_paths": light_paths(pictures),
+        "candidates": candidates(diagnosis),
         "diagnosis": diagnosis,
         "nuisances": _nuisances(comparison),
         "gate": (comparison or diagnosis or {}).get("gate") or {},
         "metrics": [_metric_section(r) for r in measured],
         "between": _between(measured),
         "provenance": [_provenance(r) for r in results],
-        "csv": _csv(by_model),
+        "csv": csv_text(by_model),
         "json": json.dumps([_slim(r) for r in results], allow_nan=False).replace("<", "\\u003c"),
     }
-
-
-def _held_rows(ladder: Sequence[Row]) -> list[Row]:
-    """Rows of captures that nothing was fitted to, the hold-out where there is one; else all."""
-    held = [row for row in ladder if row["role"] == "prediction"]
-    return [row for row in held if row.get("captures") == held[-1].get("captures")] or list(ladder)
-
-
-def _ladder(rows: Sequence[Row]) -> tuple[list[str], list[dict[str, Row]], list[str]]:
-    models = list(dict.fromkeys(row["model"] for row in rows))
-    columns = [{row["family"]: row for row in rows if row["model"] == m and row["mean_square_z"] is not None} for m in models]
-    families = [f for f in dict.fromkeys(row["family"] for row in rows) if f != "all"]
-    return models, columns, families
-
-
-def _by_model(comparison: Mapping[str, Any] | None) -> list[list[Row]]:
-    if not comparison:
-        return []
-    return [[row for row in comparison["table"] if row["model"] == m] for m in comparison["models"]]
 
 
 def _title(*parts: Any) -> str:
@@ -132,197 +104,6 @@ def _headline(diagnosis: Mapping[str, Any] | None, models: Sequence[str], column
             "more": "Nothing was diagnosed yet: isetval diagnose.",
         }
     return {"text": "Measured.", "tone": "open", "more": "No model was compared yet: isetval compare."}
-
-
-def _match(models: Sequence[str], columns: Sequence[Mapping[str, Row]]) -> list[dict[str, Any]]:
-    """Per model: overall mean-square z, and how many families agree."""
-    out = []
-    for model, column in zip(models, columns, strict=True):
-        if "all" not in column:
-            continue
-        states = [state_of(row["mean_square_z"], row["n"]) for name, row in column.items() if name != "all"]
-        whole = column["all"]
-        out.append(
-            {
-                "model": model,
-                "value": f"{whole['mean_square_z']:.2f}",
-                "state": state_of(whole["mean_square_z"], whole["n"]),
-                "n": whole["n"],
-                "agree": sum(s != "fails" for s in states),
-                "families": len(states),
-            }
-        )
-    return out
-
-
-def _failing(
-    comparison: Mapping[str, Any] | None, models: Sequence[str], columns: Sequence[Mapping[str, Row]]
-) -> list[dict[str, str]]:
-    """The families in which the first model fails, worst first, with their worst place."""
-    if not columns:
-        return []
-    return [
-        {
-            "family": row["family"].replace("_", " "),
-            "z2": f"{row['mean_square_z']:.1f}",
-            "error": relative_words(row),
-            "worst": _worst(comparison, models[0], row["family"]),
-        }
-        for row in _failing_rows(columns)[:5]
-    ]
-
-
-def _worst(comparison: Mapping[str, Any] | None, model: str, family: str) -> str:
-    rows = [
-        r for r in (comparison or {}).get("table", ()) if r["model"] == model and r["family"] == family and r["z"] is not None
-    ]
-    if not rows:
-        return ""
-    row = max(rows, key=lambda r: abs(r["z"]))
-    where = " ".join(str(row[k]) for k in ("shot", "channel", "region", "patch") if row.get(k))
-    away = 100 * (row["simulated"] / row["measured"] - 1) if row["measured"] else 0.0
-    tail = f", simulated {away:+.1f} %" if 0.05 < abs(away) < 100 else ""
-    return f"{where}: z {row['z']:+.1f}{tail}"
-
-
-def _missing(diagnosis: Mapping[str, Any] | None, demo: Mapping[str, Any] | None) -> dict[str, Any]:
-    if not diagnosis:
-        return {}
-    named = [
-        {
-            "words": effect_words(e, sign="±"),
-            "posterior": probability_words(e["posterior"]),
-            "equivalent": [n.replace("_", " ") for n in e["equivalent"]],
-            "form": form_plot(e),
-            "command": f"isetval add MODEL {e['name']} --from diagnosis.json -o MODEL2",
-        }
-        for e in diagnosis["effects"]
-    ]
-    return {
-        "named": named,
-        "leftover": diagnosis.get("leftover"),
-        "suspects": _suspects(diagnosis),
-        "hidden": _hidden(diagnosis, demo),
-    }
-
-
-def _hidden(diagnosis: Mapping[str, Any], demo: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    if not demo:
-        return None
-    hidden = demo["hidden"]
-    words = ", ".join(
-        f"{k} {p['value']:.4g} {p['unit'] if p['unit'] != '1' else ''}".strip() for k, p in hidden["parameters"].items()
-    )
-    found = any(hidden["name"] in (e["name"], *e["equivalent"]) for e in diagnosis["effects"])
-    return {"words": f"{hidden['name'].replace('_', ' ')} ({words})", "found": found}
-
-
-def _suspects(diagnosis: Mapping[str, Any], count: int = 6) -> list[dict[str, Any]]:
-    """The candidates that explain most, as shares of the best."""
-    seen = [c for c in diagnosis["candidates"] if c["observable"] and (c["dchi2"] or 0) > 0]
-    seen.sort(key=lambda c: -c["dchi2"])
-    if not seen:
-        return []
-    named = {e["name"] for e in diagnosis["effects"]}
-    tied = {n for e in diagnosis["effects"] for n in e["equivalent"]}
-    top = seen[0]["dchi2"]
-    return [
-        {
-            "name": c["name"].replace("_", " "),
-            "share": round(100 * c["dchi2"] / top, 1),
-            "dchi2": f"{c['dchi2']:.0f}",
-            "significant": c["p_corrected"] < 0.01,
-            "mark": "named" if c["name"] in named else "tied" if c["name"] in tied else "",
-        }
-        for c in seen[:count]
-    ]
-
-
-def _ladder_table(models: Sequence[str], columns: Sequence[Mapping[str, Row]], families: Sequence[str]) -> list[dict[str, Any]]:
-    out = []
-    for family in [*(["all"] if columns and "all" in columns[0] else []), *families]:
-        cells = []
-        for column in columns:
-            row = column.get(family)
-            state = state_of(row["mean_square_z"], row["n"]) if row else "unknown"
-            value = f"{row['mean_square_z']:.2f}" if row else ""
-            cells.append({"state": state, "symbol": SYMBOL[state], "value": value, "error": relative_words(row) if row else ""})
-        n = next((c[family]["n"] for c in columns if family in c), 0)
-        out.append({"family": family.replace("_", " "), "n": n, "cells": cells})
-    return out
-
-
-def _in_sample(diagnosis: Mapping[str, Any] | None) -> list[str]:
-    rows = [
-        r
-        for r in (diagnosis or {}).get("ladder", ())
-        if r["role"] == "calibration" and r["family"] == "all" and r["mean_square_z"] is not None
-    ]
-    return [f"{row['mean_square_z']:.3f} {'after' if i else 'before'}" for i, row in enumerate(rows)]
-
-
-def _failing_views(
-    by_model: Sequence[Sequence[Row]], columns: Sequence[Mapping[str, Row]], count: int = 4
-) -> list[dict[str, str]]:
-    """Measured and simulated of the families in which the first model fails, the worst first."""
-    if not by_model or not columns:
-        return []
-    made = [(row, family_plot(row["family"], by_model)) for row in _failing_rows(columns)[:count]]
-    return [
-        {
-            "name": row["family"].replace("_", " "),
-            "hint": f"z² {row['mean_square_z']:.1f}; {plot.hint}".rstrip("; "),
-            "svg": plot.svg,
-        }
-        for row, plot in made
-        if plot.svg
-    ]
-
-
-def _failing_rows(columns: Sequence[Mapping[str, Row]]) -> list[Row]:
-    """Families in which the first model fails, worst first."""
-    rows = [row for name, row in columns[0].items() if name != "all" and state_of(row["mean_square_z"], row["n"]) == "fails"]
-    return sorted(rows, key=lambda row: -row["mean_square_z"])
-
-
-def _views(by_model: Sequence[Sequence[Row]]) -> list[dict[str, str]]:
-    """Curves and scatter plots that people know."""
-    wanted = (
-        ("Photon transfer", "temporal variance over mean: slope is the conversion gain", charts.transfer_plot),
-        ("Relative illumination", "field flats, each colour plane", charts.falloff_plot),
-        ("Slanted edges", "SFR of every edge", charts.mtf_plot),
-        ("Chart", "patch means", charts.patch_plot),
-    )
-    made = [{"name": name, "hint": hint, "svg": draw(by_model)} for name, hint, draw in wanted] if by_model else []
-    return [view for view in made if view["svg"]]
-
-
-def _residuals(by_model: Sequence[Sequence[Row]], families: Sequence[str]) -> list[dict[str, str]]:
-    out = []
-    for family in families:
-        parts = [[r for r in rows if r["family"] == family] for rows in by_model]
-        if any(parts):
-            out.append({"name": family.replace("_", " "), "hint": "", "svg": charts.residual_plot(family, parts)})
-    return [plot for plot in out if plot["svg"]]
-
-
-def _candidates(diagnosis: Mapping[str, Any] | None) -> list[dict[str, str]]:
-    if not diagnosis:
-        return []
-    out = []
-    for c in sorted((c for c in diagnosis["candidates"] if c["observable"]), key=lambda c: c["p_corrected"])[:20]:
-        estimate = ", ".join(f"{k} {with_sigma(p['value'], p['sigma'], sign='±')}" for k, p in c["estimate"].items())
-        posterior = "" if c["posterior"] is None else f"{c['posterior']:.3f}"
-        out.append(
-            {
-                "name": c["name"],
-                "estimate": estimate,
-                "dchi2": f"{c['dchi2']:.1f}",
-                "p": f"{c['p_corrected']:.2g}",
-                "posterior": posterior,
-            }
-        )
-    return out
 
 
 def _nuisances(comparison: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -398,23 +179,9 @@ def _provenance(result: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _csv(by_model: Sequence[Sequence[Row]]) -> str:
-    lines = [",".join(CSV_COLUMNS)]
-    for rows in by_model:
-        lines += [",".join(_cell(row.get(name)) for name in CSV_COLUMNS) for row in rows]
-    return "\n".join(lines) if len(lines) > 1 else ""
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    words = (f"{value:.7g}" if isinstance(value, float) else str(value)).replace("<", "‹")
-    return f'"{words}"' if "," in words or '"' in words else words
-
-
 def _slim(result: Mapping[str, Any]) -> dict[str, Any]:
     """A result without the long tables, which are in the CSV."""
-    out = {k: v for k, v in result.items() if k not in ("table", "metrics", "files", "before", "after")}
+    out = {k: v for k, v in result.items() if k not in ("table", "metrics", "files", "before", "after", "pictures")}
     for key in ("before", "after"):
         if key in result:
             out[key] = {k: v for k, v in result[key].items() if k != "table"}

@@ -141,7 +141,7 @@ def frame(
     """A plot area for data ranges ``x`` and ``y``."""
     width, height = size
     return Frame(
-        Scale(*padded(x, log=log_x), 52, width - 16, log_x), Scale(*padded(y, log=log_y), height - 36, 10, log_y), width, height
+        Scale(*padded(x, log=log_x), 62, width - 16, log_x), Scale(*padded(y, log=log_y), height - 36, 10, log_y), width, height
     )
 
 

@@ -1,0 +1,146 @@
+"""A page for each effect of the catalogue, made from its class: text, equation, parameters, and its signature in the demo plan."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+SHOTS = ("A_dark0", "A_dark2", "A_flat1", "A_flat5", "A_field1", "A_field5", "A_edge_center_v_z0")
+LEAST = 1e-6  # relative change that is drawn: below it is rounding
+
+
+def write_pages(app=None):
+    """Write ``effects_by_name/NAME.md`` and the list of them; unchanged pages are left as they are."""
+    from isetval.effects import catalogue
+
+    folder = HERE / "effects_by_name"
+    folder.mkdir(exist_ok=True)
+    drawn = _signatures(folder)
+    for name, cls in catalogue().items():
+        _write(folder / f"{name}.md", _page(cls, name in drawn))
+    _write(folder / "index.md", _index(catalogue()))
+
+
+def _write(path, text):
+    if not path.is_file() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def _index(known):
+    lines = ["# The effects, a page each", "", "Along the light path, as `isetval effects` lists them.", ""]
+    for stage in dict.fromkeys(cls.stage for cls in known.values()):
+        names = [name for name, cls in known.items() if cls.stage == stage]
+        lines += [f"## {stage.capitalize()}", "", "```{toctree}", ":maxdepth: 1", "", *names, "```", ""]
+    return "\n".join(lines)
+
+
+def _page(cls, drawn):
+    text = inspect.cleandoc(cls.__doc__ or "")
+    lines = [f"# {cls.name}", "", "```text", *text.splitlines(), "```", ""]
+    facts = [
+        ("stage", f"{cls.stage}, place {cls.order:g}"),
+        ("acts on", f"{cls.acts_on or 'the scene'}, gives {cls.gives or 'the scene'}"),
+    ]
+    facts.append(("random", {"none": "no", "sensor": "fixed for a specimen", "frame": "new in every frame"}[cls.random]))
+    facts.append(("leaves alone", ", ".join(cls.must_not_change) or "nothing is promised"))
+    for key, words in (("absent", "does not occur"), ("absent_in", "does not occur"), ("imitated_by", "imitated by")):
+        value = getattr(cls, key, None)
+        if value:
+            facts.append((words, value if isinstance(value, str) else ", ".join(map(str, value))))
+    lines += ["| | |", "|---|---|", *(f"| {key} | {_cell(value)} |" for key, value in facts), ""]
+    lines += ["## Equation", "", "```text", cls.equation, "```", "", f"Source: {cls.reference}", ""]
+    if cls.parameters():
+        lines += ["## Parameters", "", "| name | unit | range | no effect at | plausible scale | |", "|---|---|---|---|---|---|"]
+        for p in cls.parameters():
+            scale = "" if p.tau is None else f"{p.tau:g}"
+            lines.append(f"| `{p.name}` | {_cell(p.unit)} | {p.low:g} to {p.high:g} | {p.null:g} | {scale} | {_cell(p.doc)} |")
+        lines.append("")
+    lines += ["In a model:", "", "```toml", "[[effect]]", f'name = "{cls.name}"']
+    lines += [f"{p.name} = {p.null if p.tau is None else p.null + p.tau:g}" for p in cls.parameters() if not p.shape] + [
+        "```",
+        "",
+    ]
+    if drawn:
+        lines += ["## Signature in the demo plan", "", f"![signature of {cls.name}]({cls.name}.svg)", ""]
+        lines += [
+            "Change of the mean and of the noise of seven shots when the effect stands one plausible scale above the Pixel 4a.",
+            "",
+        ]
+    lines += ["## Checked by", "", *(f"- `{path}`" for path in _tests(cls.name)), ""]
+    return "\n".join(lines)
+
+
+def _cell(text):
+    return str(text).replace("|", "\\|").replace("\n", " ")
+
+
+def _tests(name):
+    """Test files of the effects that speak of an effect: closed forms beside the battery."""
+    root = HERE.parent
+    files = sorted((root / "tests" / "effects").glob("test_*.py"))
+    found = [path.relative_to(root).as_posix() for path in files if name in path.read_text(encoding="utf-8")]
+    return found or ["tests/effects (the battery of every effect: isetval.testing.check_effect)"]
+
+
+def _signatures(folder):
+    """Draw what cannot be told in words; the names that have a picture."""
+    import isetval
+    from isetval.core.toml import data_folder
+    from isetval.effects import catalogue
+
+    model = isetval.load_model("isetval:pixel4a")
+    plan = isetval.load_campaign(data_folder() / "demo" / "plan.toml").only(SHOTS)
+    plan = replace(plan, shots=tuple(replace(shot, frames=1) for shot in plan.shots))
+    before = _levels(model, plan)
+    drawn = set()
+    for name, cls in catalogue().items():
+        if not cls.candidate or cls.files() or not any(p.tau for p in cls.parameters()):
+            continue
+        try:
+            start = model.effect(name) or cls()
+            values = {p.name: min(start.values()[p.name] + p.tau, p.high) for p in cls.parameters() if p.tau and not p.shape}
+            after = _levels(model.with_effect(start.changed(**values)), plan)
+        except isetval.InputError:
+            continue  # needs what the Pixel 4a's model lacks, such as a lens file
+        _draw(folder / f"{name}.svg", before, after)
+        drawn.add(name)
+    return drawn
+
+
+def _levels(model, plan):
+    """Mean and standard deviation, DN above black, of every shot of a plan: one frame with its noise, always of the same seed."""
+    import isetval
+
+    shot = isetval.simulate(model, plan, seed=1)
+    codes = [shot.captures.read(s.name)[0].mosaic.astype(float) for s in plan.shots]
+    return np.array([[c[0::2, 0::2].mean() - 64, c[0::2, 0::2].std()] for c in codes])
+
+
+def _draw(path, before, after):
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 2.6), layout="constrained")
+    for axis, column, words in zip(
+        figure.subplots(1, 2), (0, 1), ("mean above black, R (DN)", "standard deviation, R (DN)"), strict=True
+    ):
+        change = after[:, column] - before[:, column]
+        axis.bar(range(len(SHOTS)), change, color=["tab:gray"] * 2 + ["tab:blue"] * 4 + ["tab:orange"])
+        axis.set_xticks(range(len(SHOTS)), [s[2:].replace("_center_v_z0", "") for s in SHOTS], rotation=40, fontsize=7)
+        axis.axhline(0, color="0.4", lw=0.6)
+        axis.set_ylabel(f"change of the\n{words}", fontsize=7)
+        axis.tick_params(labelsize=7)
+        if np.abs(change).max() < LEAST:
+            axis.set_ylim(-1, 1)
+    with rc_context({"svg.hashsalt": "isetval"}):
+        figure.savefig(path, metadata={"Date": None})
+
+
+def setup(app):
+    """Make the pages before Sphinx reads the sources."""
+    app.connect("builder-inited", write_pages)
+    return {"parallel_read_safe": True}
