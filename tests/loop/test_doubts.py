@@ -7,6 +7,7 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
+from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
 from isetval.loop.candidates import WIDER, Signature, candidates_for, doubts_for
 from isetval.loop.detective import _better
@@ -29,7 +30,7 @@ class TiltedLamp:
 
     def __init__(self, plan):
         self.plan = plan
-        self.table = SimpleNamespace(metrics=[SimpleNamespace(family="flat_mean")] * ROWS)
+        self.table = SimpleNamespace(metrics=[Metric("rows", 0.0, 1.0, "DN", family="flat_mean")] * ROWS)
 
     def derivative_vectors(self, points, seeds, of_noise=False):
         return [SLOPE * p.values.get(LABEL, 0.0) for p in points]

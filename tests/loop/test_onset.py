@@ -7,6 +7,7 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign
+from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
 from isetval.loop.candidates import candidates_for, signatures
 from isetval.loop.evidence import hypothesis
@@ -27,7 +28,7 @@ class PlateauCamera:
 
     def __init__(self, plan):
         self.plan = plan
-        self.table = SimpleNamespace(metrics=[SimpleNamespace(family="flat_mean")] * LEVELS_E.size)
+        self.table = SimpleNamespace(metrics=[Metric("rows", 0.0, 1.0, "DN", family="flat_mean")] * LEVELS_E.size)
 
     def derivative_vectors(self, points, seeds, of_noise=False):
         wells = [p.model.value("full_well.well_e") if p.model.effect("full_well") is not None else np.inf for p in points]

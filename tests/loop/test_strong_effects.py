@@ -7,6 +7,7 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign
+from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
 from isetval.loop.candidates import candidates_for, signatures
 from isetval.loop.evidence import first_values, hypothesis
@@ -27,7 +28,7 @@ class NoisyRows:
 
     def __init__(self):
         self.plan = Campaign("plan", ())
-        self.table = SimpleNamespace(metrics=[SimpleNamespace(family="dark_row_noise_variance")] * ROWS)
+        self.table = SimpleNamespace(metrics=[Metric("rows", 0.0, 1.0, "DN", family="dark_row_noise_variance")] * ROWS)
 
     def derivative_vectors(self, points, seeds, of_noise=False):
         sigmas = [p.model.value(KEY) if p.model.effect("temporal_row_noise") is not None else 0.0 for p in points]

@@ -7,6 +7,7 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
+from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
 from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.evidence import hypothesis, refit
@@ -28,7 +29,7 @@ class DarkCamera:
 
     def __init__(self, plan, nominal):
         self.plan, self.nominal = plan, nominal
-        self.table = SimpleNamespace(metrics=[SimpleNamespace(family="f")] * ROWS)
+        self.table = SimpleNamespace(metrics=[Metric("rows", 0.0, 1.0, "DN", family="f")] * ROWS)
 
     def derivative_vectors(self, points, seeds, of_noise=False):
         return [SLOPE * (p.model.value(KEY) - self.nominal.value(KEY) + p.values.get(LABEL, 0.0)) for p in points]
