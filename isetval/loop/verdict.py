@@ -45,7 +45,7 @@ def account_of(
         confirm = _confirm(held, models)
     if more and effects:
         say("searching captures that tell the closest candidates apart")
-    captures = tuple(next_captures(case.problem, case.fitted, _pairs(case, like))) if more and effects else ()
+    captures = tuple(next_captures(*prepared.settled(nominal), _pairs(case, like))) if more and effects else ()
     return Diagnosis(
         verdict=_verdict(like, bool(leftovers or excess), confirm),
         effects=tuple(effects),
@@ -101,8 +101,12 @@ def _likenesses(case: Investigation) -> dict[str, Likeness]:
 
 
 def _pairs(case: Investigation, like: Mapping[str, Likeness]) -> list[tuple[Signature, Signature]]:
-    """The named effects against what is closest to them."""
-    frame, white = case.nominal_frame, case.white()
+    """The named effects against what is closest to them, as the nominal model's own weights have it.
+
+    At the present base other rows may be kept, and a named effect is free there: nothing of its own signature is left.
+    """
+    problem, _ = case.prepared.settled(case.prepared.model)
+    frame, white = case.nominal_frame, {name: problem.whitened(s.columns) for name, s in case.signatures.items()}
     klass = {c.name: c.klass for c in case.candidates}
     out = []
     for name, others in like.items():
