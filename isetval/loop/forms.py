@@ -60,7 +60,8 @@ def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say
         FormRow(_words(_form(f, name)), tuple(p.name for p in _form(f, name).parameters), f.log_evidence - null)
         for f in (chosen, *(f for f in fits if f is not chosen))
     ]
-    case.forms[name] = tuple(rows)
+    if chosen is not found or name not in case.forms:  # asked again at a new base, what was weighed there first stays
+        case.forms[name] = tuple(rows)
     if chosen is not found:
         say(f"{name}: form {rows[0].form} with {', '.join(rows[0].free)} free")
     return chosen
@@ -77,10 +78,9 @@ def has_forms(candidate: Candidate) -> bool:
 
 
 def _words(candidate: Candidate) -> str:
-    names = [str(getattr(candidate.effect, name)) for name in candidate.effect.forms]
-    if is_free(candidate.effect) and candidate.effect.free is not None:
-        names.append(f"free along the {candidate.effect.free.axis}")
-    return ", ".join(names) or "as it is"
+    effect = candidate.effect
+    own = "as it is" if effect.free is None or not is_free(effect) else f"free along the {effect.free.axis}"
+    return ", ".join(str(getattr(effect, name)) for name in effect.forms) or own
 
 
 def _named_forms(candidate: Candidate) -> Iterator[Candidate]:

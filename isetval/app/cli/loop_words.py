@@ -171,10 +171,18 @@ def _form_lines(effect: Mapping[str, Any]) -> list[str]:
     forms = effect.get("forms") or []
     if not forms:
         return []
-    named = [f["form"] + (f" with {f['free'][-1]}" if len(f["free"]) > min(len(o["free"]) for o in forms) else "") for f in forms]
+    fewest = min((f["free"] for f in forms), key=len)
+    named = [f["form"] + _further([name for name in f["free"] if name not in fewest], f["form"]) for f in forms]
     behind = [f["log_evidence"] - forms[0]["log_evidence"] for f in forms]
     others = ", ".join(f"{name} {by:+.1f}" for name, by in zip(named[1:], behind[1:], strict=True))
     return [f"    form: {named[0]}; ln evidence of others against it: {others}"]
+
+
+def _further(names: Sequence[str], form: str) -> str:
+    """What is free in a form beside what is free in all."""
+    shapes = [name for name in names if not name.startswith("free_")]
+    curve = ["a curve"] if len(shapes) < len(names) and "free" not in form else []
+    return f" with {', '.join([*shapes, *curve])}" if shapes or curve else ""
 
 
 def demo_lines(result: Mapping[str, Any]) -> list[str]:
