@@ -16,6 +16,7 @@ from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.toml import PACKAGE_PREFIX
 from isetval.core.writing import write_whole
+from isetval.effects.free_form import PREFIX, freed
 from isetval.files.result_file import Diagnosed, checked, read_result
 from isetval.loop.model_update_color import KIND, spectral_qe_values
 
@@ -186,6 +187,8 @@ def _with_tables(new: NewValues, output: Path) -> NewValues:
 
 
 def _changed(effect: Effect, new: NewValues) -> Effect:
+    if any(name.startswith(PREFIX) for name in new.values):
+        effect = freed(effect)
     return effect.changed(**new.values, source=new.source, fitted_to=new.fitted_to)
 
 

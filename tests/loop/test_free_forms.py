@@ -9,12 +9,13 @@ import isetval
 from isetval.core.sensor import Sensor
 from isetval.core.toml import data_folder
 from isetval.effects.converter import Nonlinearity
-from isetval.effects.free_form import curve_parameters, freed
+from isetval.effects.free_form import curve_parameters, freed, is_free
 from isetval.effects.optics_field import Vignetting
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import Candidate
 from isetval.loop.curve_campaign import curve_campaign
 from isetval.loop.form_curve import curve_of
+from isetval.loop.model_update import NewValues, add_effect
 
 SIGMA = 0.001
 FOCAL_MM, CORNER_MM = 4.38, 1.4e-3 * 2520
@@ -108,3 +109,17 @@ def test_the_curve_of_a_response_is_over_its_level():
     curve = curve_of(candidate, fit_of(candidate, values, [0.001] * (1 + count)), sensor)
     np.testing.assert_allclose(curve.value[""], 1 - 0.03 * curve.at, rtol=1e-6)
     assert curve.to_json()["quantity"] == "factor on the light"
+
+
+@pytest.mark.parametrize("name", ["cos4", "vignetting"])
+def test_a_curve_that_was_added_is_in_the_model_file(name, tmp_path):
+    """Cos4 stands in the model, vignetting does not: both come back from the file as they were found."""
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    strength = {"cos4": {"delta": 0.3}, "vignetting": {"v": 0.1}}[name]
+    curve = {"free_1": 0.5, "free_4": -1.25}
+    new = NewValues(name, strength | curve, sigma={"free_1": 0.1}, source="a diagnosis", fitted_to=("lab/A",))
+    add_effect(model, new, output=tmp_path / "better.toml")
+    found = isetval.load_model(tmp_path / "better.toml").effect(name)
+    assert is_free(found)
+    assert found.values().items() >= (strength | curve).items()
+    assert found.fitted_to == ("lab/A",)
