@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,46 @@ def growth(folder, most):
     }
 
 
+def archive(folder, rows=200_000):
+    """Writing rows into an archive, their size on the disk, and a trend over all of them."""
+    from isetval.app.archive import Archive, trend_of
+    from isetval.app.archive.rows import COLUMNS
+
+    rng = np.random.default_rng(1)
+    values = rng.normal(10, 0.1, rows)
+    start = datetime(2026, 1, 1)
+    empty = dict.fromkeys(COLUMNS)
+    made = [
+        empty
+        | {
+            "record": f"{i // 20:040x}",
+            "row": i % 20,
+            "metric": f"metric_{i % 20}",
+            "value": float(v),
+            "sigma": 0.1,
+            "unit": "DN",
+        }
+        | {"file": f"/lab/captures/body_{i // 20 % 50:02d}/capture_{i // 20:07d}.dng", "body": f"SN{i // 20 % 50:02d}"}
+        | {"date": start + timedelta(minutes=i // 20), "channel": "G", "settings": "{}"}
+        for i, v in enumerate(values)
+    ]
+    store = Archive(folder / "archive")
+    cpu = time.process_time()
+    store._write(iter([made[i : i + 20] for i in range(0, rows, 20)]), ())
+    written = time.process_time() - cpu
+    cpu = time.process_time()
+    trends = trend_of(store, "metric_3")
+    asked = time.process_time() - cpu
+    size = sum(path.stat().st_size for path in store.parts())
+    return {
+        "rows": rows,
+        "write_s": written,
+        "bytes_per_row": size / rows,
+        "trend_s": asked,
+        "captures": sum(len(t.values) for t in trends),
+    }
+
+
 def exponent(points):
     x, y = np.log(np.array(points, float)).T
     return float(np.polyfit(x, y, 1)[0]) if len(points) > 1 else None
@@ -164,6 +205,9 @@ def main():
         found["overhead_ms_cpu_wall"] = overhead(small[:32], folder)
         found["workers"] = workers(small, folder)
         found["growth_s_cpu"] = growth(folder, args.files)
+        stored = sum(path.stat().st_size for path in (folder / f"growth{found['growth_s_cpu']['files'][-1][0]}").rglob("*.rows"))
+        found["store_bytes_per_file"] = stored / found["growth_s_cpu"]["files"][-1][0]
+        found["archive_cpu"] = archive(folder)
     found |= {"load_before_after": [load[0], os.getloadavg()[0]], "cores": os.cpu_count(), "shape": SHAPE}
     read, own = found["reading_ms_cpu_wall"], found["measuring_ms_cpu_wall_per_file"]
     over, (one, two) = found["overhead_ms_cpu_wall"], found["workers"].values()
