@@ -14,7 +14,7 @@ from isetval.core.campaign import Campaign
 from isetval.loop.candidates import Candidate, aligned, candidates_for, doubts_for, lights_of, signatures
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
-from isetval.loop.forms import has_forms, in_best_form
+from isetval.loop.forms import in_best_form
 from isetval.loop.investigation import (
     Investigation,
     ask_holdout,
@@ -37,7 +37,6 @@ Float = NDArray[np.float64]
 ALPHA = 0.01  # false alarms in a true model, all candidates together
 ODDS = 19.0  # 95 %: what a name needs against the same without it
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
-LONG_LIST = 8  # the same for single effects that may be of another form than their signature
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked only where they are closer
 BENDS = 0.5  # share of what a single effect explains that its signature may be wrong by: what the nuisances leave of it is small,
 # and another form of it explains more (a vignetting of 6 %: 42 of 89 in ln Z)
@@ -197,8 +196,8 @@ def _refitted(case: Investigation, say: Say, *, first: bool) -> list[Hypothesis]
     """Hypotheses that carry the sum, fitted in full: first single effects, which the rest is then weighed about."""
     tried: list[Hypothesis] = []
     for names in _proposals(case, first=first):
-        if len(tried) >= (LONG_LIST if first and _may_bend(case, names) else SHORT_LIST):
-            continue
+        if len(tried) == SHORT_LIST:
+            break
         best = max(case.score(h) for h in case.known.values())
         if not first and case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing)):
             break
@@ -224,11 +223,6 @@ def _proposals(case: Investigation, *, first: bool) -> list[Names]:
     gain = logs[singles[0]] - logs[NOTHING]
     floor = max(logs[singles[0]] - CLOSE_LOG_ODDS - BENDS * max(gain, 0.0), logs[NOTHING] - CLOSE_LOG_ODDS)
     return [names for names in singles if logs[names] > floor]
-
-
-def _may_bend(case: Investigation, names: Names) -> bool:
-    """Whether a single effect may have another form than the one its signature was made with."""
-    return any(isinstance(m, Candidate) and has_forms(m) for m in (case.member(name) for name in names))
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:

@@ -72,11 +72,6 @@ def _form(hypothesis: Hypothesis, name: str) -> Candidate:
     return next(m for m in hypothesis.effects if m.name == name)
 
 
-def has_forms(candidate: Candidate) -> bool:
-    """Whether a candidate may have another shape than the one that its score was made with."""
-    return bool(_openings(candidate)) or any(True for _ in _named_forms(candidate))
-
-
 def _words(candidate: Candidate) -> str:
     effect = candidate.effect
     own = "as it is" if effect.free is None or not is_free(effect) else f"free along the {effect.free.axis}"
