@@ -16,6 +16,7 @@ from isetval.loop.candidates import Candidate
 from isetval.loop.curve_campaign import curve_campaign
 from isetval.loop.form_curve import curve_of
 from isetval.loop.model_update import NewValues, add_effect
+from isetval.testing.foreign_camera.campaign import write_campaign
 
 SIGMA = 0.001
 FOCAL_MM, CORNER_MM = 4.38, 1.4e-3 * 2520
@@ -123,3 +124,17 @@ def test_a_curve_that_was_added_is_in_the_model_file(name, tmp_path):
     assert is_free(found)
     assert found.values().items() >= (strength | curve).items()
     assert found.fitted_to == ("lab/A",)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "name"),
+    [
+        ({"nonlinearity_cubic": {"c": 0.03}}, "nonlinearity"),
+        ({"vignetting_early": {"loss": 0.08, "onset": 0.5, "power": 3.0}}, "vignetting"),
+    ],
+)
+def test_wrong_forms_of_the_foreign_camera_are_one_name(hidden, name, tmp_path):
+    folder = write_campaign(tmp_path / "c", data_folder() / "pixel4a", seed=77, hidden=hidden, kind="small")
+    found = isetval.diagnose(isetval.load_model(folder / "camera.toml"), isetval.load_campaign(folder), with_next_captures=False)
+    assert (found.verdict, [e.name for e in found.effects], found.leftover) == ("attributed", [name], None)
