@@ -28,6 +28,7 @@ from isetval.core.writing import replace_whole
 
 Float = NDArray[np.float64]
 
+DIGEST_BYTES = 32  # of SHA-256
 BLOCK_BYTES = 1 << 20  # what is read at once: larger blocks are no faster
 
 
@@ -148,17 +149,22 @@ def _written(path: Path, data: bytes) -> bool:
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bool:
-    """Save arrays as one ``.npz`` file, whole or not at all; False where it cannot be written."""
+    """Save arrays as one ``.npz`` file with its SHA-256 behind it, whole or not at all; False where it cannot be written."""
     buffer = io.BytesIO()
     np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
-    return _written(path, buffer.getvalue())
+    data = buffer.getvalue()
+    return _written(path, data + hashlib.sha256(data).digest())
 
 
 def load_arrays(path: Path) -> Arrays | None:
-    """The arrays of a ``.npz`` file; None if it is absent or damaged."""
+    """The arrays of a ``.npz`` file; None if it is absent, damaged, or changed by anybody since it was saved."""
     try:
         os.utime(path)  # used now, for prune
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+        content = path.read_bytes()
+        data, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
+        if hashlib.sha256(data).digest() != digest:
+            return None
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

@@ -16,6 +16,17 @@ def test_folder_follows_the_xdg_rule(monkeypatch, tmp_path):
     assert cache.cache_folder() == tmp_path / ".cache" / "isetval"
 
 
+def test_an_edited_file_is_not_trusted(tmp_path):
+    """Whoever writes other numbers into a whole file has them made again."""
+    path = tmp_path / "x.npz"
+    cache.save_arrays(path, {"v": np.zeros(3)})
+    np.savez(path, v=np.ones(3))
+    assert cache.load_arrays(path) is None
+    cache.save_arrays(path, {"v": np.zeros(3)})
+    path.write_bytes(path.read_bytes().replace(bytes(8), b"\1" + bytes(7), 1))
+    assert cache.load_arrays(path) is None
+
+
 def test_arrays_come_back_and_damage_counts_as_absent(tmp_path):
     path = tmp_path / "deep" / "x.npz"
     values = np.random.default_rng(1).normal(size=(3, 4))
