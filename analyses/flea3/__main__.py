@@ -17,7 +17,7 @@ from analyses.flea3.statements import statements
 from analyses.flea3.verdict import verdict
 
 
-def run(data: Path, work: Path, *, quick: bool, say: Any = print) -> dict[str, Any]:
+def run(data: Path, work: Path, *, quick: bool, diagnose: bool = False, say: Any = print) -> dict[str, Any]:
     """Everything that the page shows."""
     lab = laboratory(data, work)
     model = isetval.load_model(MODEL)
@@ -28,7 +28,7 @@ def run(data: Path, work: Path, *, quick: bool, say: Any = print) -> dict[str, A
     out["darks"] = {"first visit": darks.dark_pixels(lab.disks), "second visit (shrunk)": darks.dark_pixels(lab.charts)}
     out["lens"] = lens.color_errors(lab.disks)
     if not quick:
-        out["verdict"] = verdict(lab, model, say=say)
+        out["verdict"] = verdict(lab, model, *rows.values(), diagnose=diagnose, say=say)
     out["statements"] = statements(out)
     return out
 
@@ -40,12 +40,14 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help="folder for the drafted campaigns, kept (default: a temporary one)")
     parser.add_argument("--page", type=Path, default=ROOT / "reports" / "flea3.html", help="the page (default: %(default)s)")
     parser.add_argument("--quick", action="store_true", help="what is measured, without comparison and diagnosis")
+    parser.add_argument("--diagnose", action="store_true", help="ask the catalogue for the missing effect as well (half an hour)")
     options = parser.parse_args()
     if not options.data.is_dir():
         print(f"{options.data}: the pictures are not there; name their folder with --data", file=sys.stderr)
         return 3
     with tempfile.TemporaryDirectory() as temporary:
-        result = run(options.data, options.work or Path(temporary), quick=options.quick, say=lambda s: print(s, file=sys.stderr))
+        work, words = options.work or Path(temporary), lambda s: print(s, file=sys.stderr)
+        result = run(options.data, work, quick=options.quick, diagnose=options.diagnose, say=words)
     for what, sure, test in result["statements"]:
         print(f"- {what}\n    sure: {sure}\n    test: {test}")
     options.page.with_suffix(".json").write_text(json.dumps(result, indent=1, default=float) + "\n")

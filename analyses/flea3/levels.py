@@ -106,6 +106,31 @@ def linearity(rows: Rows) -> dict[str, object]:
     }
 
 
+def frozen(rows: Rows, offset: float, bend: float) -> dict[str, float]:
+    """How well a frozen response describes rows that it was not fitted to: rates and one light factor a picture are free.
+
+    ``rms_percent`` over rows of 5 DN and more, ``median_z`` is 1 where the errors are the stated ones.
+    """
+    picture = np.unique(rows.light * 1000 + np.unique(rows.time_s, return_inverse=True)[1], return_inverse=True)[1]
+    line = np.unique(rows.light * 10_000 + rows.channel * 1000 + rows.patch, return_inverse=True)[1]
+    light = (rows.value - offset) * (1 + bend * (rows.value - offset) / 255)
+    weight = 1 / rows.sigma**2
+    factor = np.ones(picture.max() + 1)
+    for _ in range(30):  # alternate: rates, then the light of each picture, drawn to 1 by its prior
+        time = rows.time_s * factor[picture]
+        rate = np.bincount(line, weight * light * time) / np.bincount(line, weight * time**2)
+        wanted = rate[line] * rows.time_s
+        top = np.bincount(picture, weight * light * wanted) + 1 / DRIFT_PRIOR**2
+        factor = top / (np.bincount(picture, weight * wanted**2) + 1 / DRIFT_PRIOR**2)
+    apart = light - wanted * factor[picture]
+    clear = (rows.value > 5) & (np.bincount(line)[line] > 1)
+    return {
+        "rows": int(clear.sum()),
+        "rms_percent": 100 * float(np.sqrt(np.mean((apart / light)[clear] ** 2))),
+        "median_z": float(np.median(np.abs(apart / rows.sigma)[clear]) / 0.6745),
+    }
+
+
 def rates(rows: Rows, line: dict[str, object]) -> tuple[Float, Float]:
     """Rate (lights, channels, patches) in DN/s and its sigma with offset and bend taken out; NaN where nothing was open."""
     offset, bend = line["offset_dn"][0], line["bend"][0]  # type: ignore[index]

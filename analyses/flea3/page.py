@@ -223,23 +223,26 @@ def _verdict(result: dict[str, Any]) -> list[str]:
     verdict = result.get("verdict")
     if not verdict:
         return ["<h2>Verdict</h2><p>Not run (--quick).</p>"]
-    found = verdict["diagnosis"]
-    effects = [
-        [e["name"], ", ".join(f"{k} {p['value']:.4g} +- {p['sigma']:.2g} {p['unit']}" for k, p in e["parameters"].items()),
-         e["posterior"],
-         ", ".join(e["equivalent"]) or "none"]
-        for e in found["effects"]
-    ]  # fmt: skip
+    frozen = [
+        [where, name, x["rows"], x["rms_percent"], x["median_z"]]
+        for where, by in verdict["frozen"].items()
+        for name, x in by.items()
+    ]
     ladder = [
-        [where, r["model"], r["family"], r["n"], r["mean_square_z"], 100 * r["rms_relative_error"]]
+        [where, r["model"], r["n"], r["mean_square_z"], 100 * r["rms_relative_error"]]
         for where, rows in verdict["left_out"].items()
         for r in rows
     ]
+    found = verdict.get("diagnosis")
+    named = (
+        f"<p>isetval diagnose: {escape(found['verdict'])}.</p>" if found else "<p>isetval diagnose was not run for this page.</p>"
+    )
     return [
-        f"<h2>Verdict: {escape(found['verdict'])}</h2>",
-        f"<p>Learned from the chart's exposures of {verdict['used_s']} s, confirmed on {verdict['held_s']} s.</p>",
-        table(["effect", "value", "posterior", "cannot be told from"], effects),
-        f"<p>Left over: {escape(str(found['leftover']))}</p>",
-        "<p>First and last model on captures left out (nuisances refitted on each):</p>",
-        table(["captures", "model", "family", "n", "mean-square z", "rms error %"], ladder),
+        "<h2>On captures left out</h2>",
+        f"<p>Response fitted on the charts without 650 nm, .25 s and 2 s: offset {verdict['offset_dn'][0]:.3f} DN, bend "
+        f"{verdict['bend'][0]:.4f}; frozen on the rest:</p>",
+        table(["captures", "response", "rows", "rms error %", "median z"], frozen),
+        "<p>isetval compare with the whole model, nuisances refitted on each part:</p>",
+        table(["captures", "model", "n", "mean-square z", "rms error %"], ladder),
+        named,
     ]

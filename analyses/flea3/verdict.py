@@ -15,7 +15,7 @@ import numpy as np
 
 import isetval
 from analyses.flea3.common import Laboratory
-from analyses.flea3.levels import Rows, linearity
+from analyses.flea3.levels import Rows, frozen, linearity
 from isetval.core.campaign import Campaign
 from isetval.effects import catalogue
 
@@ -46,11 +46,29 @@ def steps(model: isetval.CameraModel, line: dict[str, Any]) -> list[isetval.Came
     return [model, offset, replace(offset.with_effect(bend), name="with offset and bend")]
 
 
+def of_light(rows: Rows, light: str) -> Rows:
+    """The rows of one light."""
+    keep = rows.light == rows.lights.index(light)
+    return replace(rows, **{k: getattr(rows, k)[keep] for k in ("light", "channel", "patch", "time_s", "value", "sigma")})
+
+
 def verdict(
-    laboratory: Laboratory, model: isetval.CameraModel, rows: Rows, *, diagnose: bool, say: Say | None = None
+    laboratory: Laboratory,
+    model: isetval.CameraModel,
+    charts: Rows,
+    disks: Rows,
+    *,
+    diagnose: bool,
+    say: Say | None = None,
 ) -> dict[str, Any]:
     """Mean-square z of the steps on what was left out; with ``diagnose`` the catalogue's answer too."""
-    line = linearity(without(rows))
+    line = linearity(without(charts))
+    response = {
+        "straight": (0.0, 0.0),
+        "offset": (line["offset_dn"][0], 0.0),
+        "offset and bend": (line["offset_dn"][0], line["bend"][0]),
+    }
+    parts = {f"charts, {HELD_LIGHT}, all exposures": of_light(charts, HELD_LIGHT), "disks of the other visit": disks}
     models = steps(model, line)
     outside = {
         f"charts, {HELD_LIGHT} at .25 and 2 s": part(laboratory.charts, HELD_S, only=HELD_LIGHT),
@@ -59,6 +77,7 @@ def verdict(
     out: dict[str, Any] = {
         "offset_dn": line["offset_dn"],
         "bend": line["bend"],
+        "frozen": {where: {name: frozen(own, *r) for name, r in response.items()} for where, own in parts.items()},
         "left_out": {name: ladder(models, campaign, say) for name, campaign in outside.items()},
     }
     if diagnose:

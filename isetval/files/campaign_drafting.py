@@ -28,6 +28,7 @@ FIELD_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-
                 (0.95, 0.95), (-0.95, 0.95), (0.95, -0.95), (-0.95, -0.95))  # fmt: skip
 LEAST_TILT_DN, LEAST_TILT_PATCHES = 10.0, 8  # patches that tell how evenly a chart was lit: codes of 10 err by 5 %
 CLEAR_DN = 30.0  # half a code of offset is 2 % of it
+PUBLISHED_CHART = "isetval:spectra/chart24.csv"
 BAND_NM = 10.0  # full width of the filters that laboratories buy for narrow bands; a measured table takes its place
 SURROUND_PX = 24  # of a registered region: what its lens blurs into it
 
@@ -330,7 +331,9 @@ def _chart_target(work: Drafting, chart: ChartPose, moved: tuple[int, int]) -> s
     """The name of the chart's table: that of another shot where it stands at the very same place."""
     boxes = [(r0 - moved[0], r1 - moved[0], c0 - moved[1], c1 - moved[1]) for r0, r1, c0, c1 in chart.boxes]
     name = f"chart_{1 + sum(target.table['kind'] == 'chart' for target in work.targets):02d}"
-    reflectance = chart.reflectances or chart_reflectances(work.folder_spectra, chart.names) or published_reflectances()
+    reflectance = (
+        chart.reflectances or chart_reflectances(work.folder_spectra, chart.names) or published_reflectances(chart.names)
+    )
     patches = tuple(zip(chart.names, boxes, reflectance, strict=True))
     comment = f"patches are {chart.side:.3f} of their pitch; centres agree with one plane to {chart.error_px:.2f} px"
     table: dict[str, object] = {"kind": "chart", "margin_px": chart.margin_px, "surround": 0.05}
@@ -344,12 +347,9 @@ def _chart_target(work: Drafting, chart: ChartPose, moved: tuple[int, int]) -> s
     return same or name
 
 
-def published_reflectances() -> list[float | str]:
-    """Luminous reflectance of the 24 patches by their published colours: right for greys, flat where a patch is coloured."""
-    from isetval.measure.color.chart_layout import linear_rgb
-
-    luminance = linear_rgb() @ np.array([0.2126, 0.7152, 0.0722])  # IEC 61966-2-1
-    return [round(float(v), 4) for v in luminance]
+def published_reflectances(names: Sequence[str]) -> list[float | str]:
+    """How a target names the published reflectance of each patch, embedded: smoothest spectra of the published colours."""
+    return [f"{PUBLISHED_CHART}:{name}" for name in names]
 
 
 def _add_repeats(work: Drafting) -> None:

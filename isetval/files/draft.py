@@ -193,7 +193,9 @@ def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], c
     roles = {shot.role for shot in work.shots}
     if "chart" in roles and chart_reflectances(work.folder_spectra, PATCH_NAMES) is None:
         needs = 'the chart\'s own reflectances (reflectance = "chart.csv" with a column for each patch).'
-        without = "coloured patches are taken for greys of their luminance, so nothing can be said of colour."
+        without = (
+            "smooth spectra of the published colours stand in, .06 rms off a real chart, so that little can be said of colour."
+        )
         out.append(("[target.chart_*]", needs, without))
     if "edge" in roles:
         needs = "reflectance of both sides."

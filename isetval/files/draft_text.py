@@ -26,8 +26,9 @@ def draft_text(draft: Draft) -> str:
         parts += _prior(prior)
     for target in draft.targets:
         parts += _target(target)
+    with_camera = any(light.level_known for light in draft.lights)
     for shot in draft.shots:
-        parts += _shot(shot)
+        parts += _shot(shot, draft_camera=with_camera)
     parts += _left_out(draft)
     return "\n".join(parts) + "\n"
 
@@ -141,7 +142,7 @@ def _target(target: DraftTarget) -> list[str]:
     return [*out, ""]
 
 
-def _shot(shot: DraftShot) -> list[str]:
+def _shot(shot: DraftShot, *, draft_camera: bool = False) -> list[str]:
     fact, words = shot.group.first, shot.group.words
     entries: dict[str, object] = {
         "name": shot.name,
@@ -150,7 +151,7 @@ def _shot(shot: DraftShot) -> list[str]:
         "setup": shot.setup,
         "light": shot.light,
         "light_level": float(f"{shot.light_level:.6g}") if shot.light else None,
-        "exposure_s": fact.exposure.time_s,
+        "exposure_s": fact.exposure.time_s or (1.0 if draft_camera else None),
         "iso": fact.exposure.iso,
         "rotation_deg": fact.rotation_deg or None,
         "target": shot.target,
@@ -161,8 +162,12 @@ def _shot(shot: DraftShot) -> list[str]:
         "levels_only": fact.levels_only or None,
         "files": list(shot.group.files),
     }
+    if draft_camera and fact.exposure.time_s is None:
+        told_time = ["CHECK: its file states no exposure time; 1 s goes with the light's scale"]
+    else:
+        told_time = []
     mean = 100 * shot.group.level_dn / fact.span_dn
-    told = [f"mean {mean:.2f} % of the range", *([f"position {words.position}"] if words.position else [])]
+    told = [f"mean {mean:.2f} % of the range", *([f"position {words.position}"] if words.position else []), *told_time]
     return [*comment(f"{shot.comment}; {', '.join(told)}"), *_table("[[shot]]", entries), ""]
 
 

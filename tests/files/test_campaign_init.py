@@ -376,7 +376,7 @@ def _with_spectra(folder):
     head, *charts = text.split("[target.chart_")
     for i, chart in enumerate(charts):
         names = iter(spectra.reflectances())
-        chart = re.sub(r"reflectance = [0-9.]+ \}", lambda _, n=names: f'reflectance = "patches.csv:{next(n)}" }}', chart)
+        chart = re.sub(r"reflectance = [^}]+ \}", lambda _, n=names: f'reflectance = "patches.csv:{next(n)}" }}', chart)
         charts[i] = chart.replace("surround = 0.05", f"surround = {Chart.surround}")
     (folder / "campaign.toml").write_text("[target.chart_".join([head, *charts]))
 
