@@ -160,3 +160,10 @@ def test_units():
 def test_refused_options(captures, capsys, words, said):
     assert main(["measure", str(captures), *words]) == 3
     assert said in capsys.readouterr().err
+
+
+def test_a_campaign_is_measured_as_a_whole(tmp_path, capsys):
+    write_flat(tmp_path / "lab" / "a.dng", 1)
+    (tmp_path / "lab" / "campaign.toml").write_text("")
+    assert main(["measure", str(tmp_path / "lab"), "--jobs", "1"]) == 3
+    assert "is a campaign, which is measured as a whole" in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """Every reader of JSON and TOML against damaged files.
 
     python tests/fuzz/text_campaign.py --files 100000 --seed 1 [-o log.json] [--only model,plan] [--keep DIR]
+    python tests/fuzz/text_campaign.py --merge log1.json log2.json -o reports/fuzzing_text.json
 
 Counts, the slowest file and every finding are printed as JSON; a file that breaks the rule is kept.
 """
@@ -20,6 +21,21 @@ from text_mutants import SECONDS, Slow, all_readers, mutant, timed
 SLOW = ("plan", "report demo", "report comparison", "report diagnosis", "lens")  # cost 5 to 20 ms a file: a quarter of the others
 
 
+def merged(logs, output):
+    """The logs of campaigns with other seeds as one."""
+    sums = {key: collections.Counter() for key in ("counts", "findings")}
+    for log in logs:
+        for key, counter in sums.items():
+            counter.update(log[key])
+    worst = max(logs, key=lambda log: log["slowest_s"])
+    result = {"files": sum(log["files"] for log in logs), "seeds": [log["seed"] for log in logs]}
+    result |= {key: dict(sorted(counter.items())) for key, counter in sums.items()}
+    result |= {"slowest_s": worst["slowest_s"], "slowest": worst["slowest"]}
+    result |= {"peak_growth_mb": max(log["peak_growth_mb"] for log in logs), "cpu_s": sum(log["cpu_s"] for log in logs)}
+    output.write_text(json.dumps(result, indent=1) + "\n")
+    return int(bool(result["findings"]))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=int, default=10_000)
@@ -27,7 +43,10 @@ def main():
     parser.add_argument("--only", default="")
     parser.add_argument("--keep", type=Path, default=Path("/tmp/text_mutants"))
     parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--merge", type=Path, nargs="+", help="logs of earlier campaigns, made one")
     args = parser.parse_args()
+    if args.merge:
+        return merged([json.loads(path.read_text()) for path in args.merge], args.output)
     rng = np.random.default_rng(args.seed)
     counts, findings, slowest = collections.Counter(), collections.Counter(), (0.0, "")
     start = time.process_time()

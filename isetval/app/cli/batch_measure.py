@@ -45,6 +45,7 @@ def measure_batch(args: argparse.Namespace, console: Console, raw: Mapping[str, 
     from isetval.files.loose_files import Asked, raw_files
 
     _refuse_pages(args)
+    _refuse_campaigns(args)
     settings = Settings(Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e), args.black or "auto", raw)
     units = part_of(units_of(raw_files(args.paths), args.role), args.shard)
     fresh = getattr(args, "fresh", False)  # of rerun: no store may answer for it
@@ -82,6 +83,18 @@ def _refuse_pages(args: argparse.Namespace) -> None:
         )
     if sum(map(bool, (args.jobs is not None or args.isolate, args.scheduler, args.scheduler_file))) > 1:
         raise InputError("--jobs or --isolate, --scheduler and --scheduler-file are different engines; name one of them")
+
+
+def _refuse_campaigns(args: argparse.Namespace) -> None:
+    """A campaign without a role given is measured as a whole: its shots share their sessions."""
+    from isetval.core.errors import InputError
+
+    campaigns = [path for path in args.paths if path.suffix.lower() == ".toml" or (path / "campaign.toml").is_file()]
+    if campaigns and args.role is None:
+        raise InputError(
+            f"{campaigns[0]}: is a campaign, which is measured as a whole; leave out --jobs, --scheduler, --store and --isolate, "
+            "or add --role to measure its files without their campaign"
+        )
 
 
 def _own_store() -> Path | None:
