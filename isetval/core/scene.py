@@ -214,6 +214,15 @@ class RenderedTarget:
     lines: tuple[tuple[str, float, float, float, float], ...] = ()
 
 
+@dataclass(frozen=True)
+class Highlight:
+    """White light that a target's surface mirrors: ``level`` in reflectance, at a place (x, y) and of a width in half windows."""
+
+    level: float
+    place: tuple[float, float]
+    width: float
+
+
 Target = EdgeTarget | ChartTarget | RenderedTarget
 
 
@@ -249,6 +258,8 @@ class Scene:
         Stray radiance in front of the lens, W/(sr m2 nm).
     gloss : float
         Reflectance of a white additive lift of all patches of a chart.
+    highlights : tuple of Highlight
+        Mirror images of lamps on a chart.
     bounce : float
         Strength of light that side walls throw on a target, as a fraction per unit of wall albedo.
     """
@@ -266,6 +277,7 @@ class Scene:
     black: float = 0.0
     ambient: Float | None = None
     gloss: float = 0.0
+    highlights: tuple[Highlight, ...] = ()
     bounce: float = 0.0
     parameters: Mapping[str, float] = field(default_factory=dict)
 

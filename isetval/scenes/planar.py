@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from isetval.core.campaign import Light, Shot
 from isetval.core.context import Context
 from isetval.core.errors import InputError
-from isetval.core.scene import ChartTarget, EdgeTarget, Scene
+from isetval.core.scene import ChartTarget, EdgeTarget, Highlight, Scene
 from isetval.core.sensor import RoiLike
 from isetval.core.signal import Layer, Signal, Transfer
 from isetval.scenes.pictures import HALO_PX, SpectralPicture, wavelength_nodes
@@ -92,6 +92,7 @@ def planar_radiance(scene: Scene, context: Context) -> Signal:
     elif isinstance(scene.target, ChartTarget):
         white = scene.white[:, None, None] * target_field(scene, context)
         layers = [Layer(white, _chart(scene, scene.target, context))]
+        layers += [Layer(scene.white[:, None, None] * _mirrored(one, context)) for one in scene.highlights]
     else:
         raise InputError(f"target {scene.target.name}: not a planar target; it needs the renderer")
     if scene.ambient is not None:
@@ -160,6 +161,15 @@ def _chart(scene: Scene, target: ChartTarget, context: Context) -> SpectralPictu
     for number, box in enumerate(boxes, 1):
         _fill(label, box, number, top, left)
     return SpectralPicture.of_labels(label, np.array(table).T, HALO_PX)
+
+
+def _mirrored(highlight: Highlight, context: Context) -> Float:
+    """Reflectance (1, rows, cols) of a highlight over the shot's window."""
+    rows, cols = context.shot_shape()
+    row, col = context.place_in_shot()
+    x, y = (col - (cols - 1) / 2) / max(cols / 2, 1), (row - (rows - 1) / 2) / max(rows / 2, 1)
+    distance2 = ((x - highlight.place[0]) ** 2 + (y - highlight.place[1]) ** 2) / highlight.width**2
+    return np.asarray(highlight.level * np.exp(-distance2 / 2)[None])
 
 
 def _fill(label: NDArray[np.intp], box: RoiLike, number: int, top: int, left: int) -> None:

@@ -43,7 +43,7 @@ GUIDE = (
     "gain_map_applied wrong_black_tag black_clip digital_gain raw_filtering lens_correction "
     "linearization_table aperture quantum_efficiency cfa shot_noise ray_transfer pixel_angular_response "
     "interpixel_capacitance correlated_row_noise alternating_columns blooming transient_hits rolling_flicker "
-    "amplifier_crosstalk dust "
+    "amplifier_crosstalk dust gloss_lobe "
 )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene, Spectrum
+from isetval.effects.gloss_lobe import GlossLobe
 from isetval.effects.scene_light import (
     AmbientLight,
     BlackReflectance,
@@ -72,6 +73,16 @@ def test_a_tilted_chart_has_a_gradient(place):
     even = radiance(ChartTilt(), CHART, place())
     np.testing.assert_allclose((out / even)[0, 255, 255], 1 + (0.1 - 0.04) * 127.5 / 128)
     np.testing.assert_allclose((out / even)[0, 0, 0], 1 - (0.1 - 0.04) * 127.5 / 128)
+
+
+def test_a_highlight_lies_at_its_place_on_dark_and_bright_patches_alike(place):
+    context = place()
+    effect = GlossLobe(level=0.03, x0=-0.5, y0=0.25, width=0.3)
+    lift = radiance(effect, CHART, context) - radiance(GlossLobe(), CHART, context)
+    x, y = (np.arange(256) - 127.5) / 128, (np.arange(256) - 127.5) / 128
+    expected = 0.03 * np.exp(-((x[None] + 0.5) ** 2 + (y[:, None] - 0.25) ** 2) / 0.18)
+    np.testing.assert_allclose(lift[3], FLAT.white[3] * expected, atol=1e-12)
+    assert effect.apply_scene(EDGE, context) is EDGE
 
 
 def test_gloss_lifts_all_patches_alike(place):
