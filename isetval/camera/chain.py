@@ -21,7 +21,7 @@ from isetval.core.context import TILE_ROWS, Context, Mode
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene
-from isetval.core.sensor import Sensor
+from isetval.core.sensor import Roi, Sensor
 from isetval.core.signal import Signal
 from isetval.scenes.planar import build_scene, mean_radiance, planar_radiance
 from isetval.scenes.rendered.accumulation import DRAWS
@@ -66,11 +66,15 @@ def occurrences(effects: tuple[Effect, ...]) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ShotSetup:
-    """A shot with what is known about it: its light and the values of its nuisances."""
+    """A shot with what is known about it: its light and the values of its nuisances.
+
+    ``regions`` of its window are all that will be looked at (none: all of it); elsewhere there is no light and code 0.
+    """
 
     shot: Shot
     light: Light | None = None
     nuisance: Mapping[str, float] = field(default_factory=dict)
+    regions: tuple[Roi, ...] = ()
 
     def digest(self) -> str:
         """SHA-256 of all that decides the shot's light (not its frames, files or name, nor where the light's table lies)."""
@@ -78,11 +82,15 @@ class ShotSetup:
 
     def of_one_frame(self) -> ShotSetup:
         """The same with one frame."""
-        return self if self.shot.frames == 1 else ShotSetup(self.shot.of_one_frame, self.light, self.nuisance)
+        return self if self.shot.frames == 1 else replace(self, shot=self.shot.of_one_frame)
 
     @cached_property
     def _digest(self) -> str:
-        return content_hash((self.shot.seen, None if self.light is None else self.light.digest, self.nuisance))
+        return content_hash((self.shot.seen, None if self.light is None else self.light.digest, self.nuisance, self.regions))
+
+    def parts(self, shape: tuple[int, int]) -> tuple[Roi, ...]:
+        """The regions, or the whole window of ``shape`` (rows, cols)."""
+        return self.regions or (Roi(0, shape[0], 0, shape[1]),)
 
 
 @dataclass(frozen=True)
@@ -140,16 +148,17 @@ def _front(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, how: Re
     whole = make_context(model, setup)
     mean = _field_means(model, effects, setup) if any(e.uses_mean_irradiance for e in effects) else {}
     row0, col0, rows, cols = whole.window
-    if isinstance(setup.shot.target, RenderedTarget):
-        step = rows
-    else:
-        step = max(1, min(rows, BAND_BUDGET // (cols * model.wavelength_nm.size)))
-    out = np.empty((rows, cols))
-    for top in range(0, rows, step):
-        part = (row0 + top, col0, min(step, rows - top), cols)
-        context = whole.but(window=part, shot_window=whole.window)
-        signal = _run_front(model, effects, setup, context, mean, how)
-        out[top : top + part[2]] = signal.values.reshape(signal.values.shape[-2:])
+    out = np.zeros((rows, cols))
+    for roi in setup.parts((rows, cols)):
+        width = roi.col1 - roi.col0
+        step = max(1, min(rows, BAND_BUDGET // (width * model.wavelength_nm.size)))
+        if isinstance(setup.shot.target, RenderedTarget):
+            step = rows
+        for top in range(roi.row0, roi.row1, step):
+            part = (row0 + top, col0 + roi.col0, min(step, roi.row1 - top), width)
+            context = whole.but(window=part, shot_window=whole.window)
+            signal = _run_front(model, effects, setup, context, mean, how)
+            out[top : top + part[2], roi.col0 : roi.col1] = signal.values.reshape(signal.values.shape[-2:])
     return out
 
 
@@ -270,14 +279,14 @@ def _run_block_wise(
 ) -> NDArray[Any]:
     row0, col0, rows, cols = context.window
     if run[0][0].halo_px:
-        return _run(run, charge, unit, context.but(shot_window=context.window))
+        return _run(run, charge, unit, context.but(shot_window=context.shot_window or context.window))
     edges = [row0, *range((row0 // TILE_ROWS + 1) * TILE_ROWS, row0 + rows, TILE_ROWS), row0 + rows]
     out = charge
 
     def block(i: int) -> None:
         part = (edges[i], col0, edges[i + 1] - edges[i], cols)
         rows_here = slice(edges[i] - row0, edges[i + 1] - row0)
-        own = context.but(window=part, shot_window=context.window)
+        own = context.but(window=part, shot_window=context.shot_window or context.window)
         if own.previous is not None and own.previous.shape[0] == rows:
             own = own.but(previous=own.previous[rows_here])
         out[:, rows_here] = _run(run, charge[:, rows_here], unit, own)

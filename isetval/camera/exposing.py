@@ -37,25 +37,37 @@ def expose(
     shot = setup.shot
     mean = mean_electrons(model, setup) if mean is None else mean
     context = make_context(model, setup, seed=seed, sensor_seed=seed if sensor_seed is None else sensor_seed, mode=mode)
-    gaussian = bool(mean.mean() > NORMAL_ABOVE_E)
-    threads = min(2, os.cpu_count() or 1) if mean.size > BIG_PX else 1
+    parts = setup.parts(mean.shape)
+    lit = [mean[roi.row0 : roi.row1, roi.col0 : roi.col1] for roi in parts]
+    gaussian = bool(sum(float(part.sum()) for part in lit) > NORMAL_ABOVE_E * sum(part.size for part in lit))
+    threads = min(2, os.cpu_count() or 1) if max(part.size for part in lit) > BIG_PX else 1
     frames = []
     stored = stored_exposure(shot.exposure)
+    row0, col0 = context.window[:2]
     for frame in range(shot.frames):
-        before = np.full((1, 1), previous) if frame == 0 else mean
         factor = 1.0 if frame_factors is None else frame_factors[frame]
-        own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian)
-        dn = electronics(model, mean, own, factor=float(factor), threads=threads)
-        if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
-            dn = dn + stream(seed, word("dither"), word(shot.name), frame).random(dn.shape) - 0.5
-        frames.append(_capture(model, setup, dn, seed, frame, stored))
+        codes = np.zeros(mean.shape, np.uint16)
+        for roi, part in zip(parts, lit, strict=True):
+            before = np.full((1, 1), previous) if frame == 0 else part
+            own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian)
+            if setup.regions:
+                own = own.but(window=(row0 + roi.row0, col0 + roi.col0, *part.shape), shot_window=context.window)
+            dn = electronics(model, part, own, factor=float(factor), threads=threads)
+            if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
+                place = (roi.row0, roi.col0) if setup.regions else ()
+                dn = dn + stream(seed, word("dither"), word(shot.name), frame, *place).random(dn.shape) - 0.5
+            codes[roi.row0 : roi.row1, roi.col0 : roi.col1] = _codes(dn)
+        frames.append(_capture(model, setup, codes, seed, frame, stored))
     return tuple(frames)
 
 
-def _capture(model: Camera, setup: ShotSetup, dn: NDArray[Any], seed: int, frame: int, exposure: Exposure) -> Capture:
-    shot = setup.shot
+def _codes(dn: NDArray[Any]) -> NDArray[np.uint16]:
     np.rint(dn, out=dn)
-    codes = np.clip(dn, 0, 65535, out=dn).astype(np.uint16)
+    return np.clip(dn, 0, 65535, out=dn).astype(np.uint16)
+
+
+def _capture(model: Camera, setup: ShotSetup, codes: NDArray[np.uint16], seed: int, frame: int, exposure: Exposure) -> Capture:
+    shot = setup.shot
     provenance = {"maker": "isetval", "model": model.name, "shot": shot.name, "seed": seed, "frame": frame}
     row0, col0 = (shot.window or (0, 0))[:2]
     return Capture(codes, model.sensor, (row0, col0), exposure, provenance)

@@ -156,7 +156,10 @@ class Context:
         """A stream: of this sensor, or of this frame of this shot in this block of rows."""
         if kind == "sensor":
             return self.fixed_rng(part)
-        return stream(self.seed, *self.effect_key, _KIND["frame"], part, word(self.shot), self.frame, self.window[0])
+        row0, col0 = self.window[:2]
+        # regions beside each other are drawn one by one; a block that begins where the shot does needs no column
+        place = (row0,) if self.shot_window is None or col0 == self.shot_window[1] else (row0, col0)
+        return stream(self.seed, *self.effect_key, _KIND["frame"], part, word(self.shot), self.frame, *place)
 
     def frame_rng(self, part: int = 0) -> np.random.Generator:
         """The stream of this frame as a whole (the same in every block of rows)."""

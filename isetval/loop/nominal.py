@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
 
+from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
-from isetval.camera.shooting import simulate
+from isetval.camera.shooting import shot_setup
 from isetval.core.cache import cache_folder, code_hash, content_hash, load_json, save_json
-from isetval.core.campaign import Campaign
+from isetval.core.campaign import Campaign, Shot
+from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
-from isetval.core.metric import MetricTable
+from isetval.loop.looked_at import looked_at
 from isetval.loop.telling import Counted
 from isetval.measure.campaign import analyses, measure_campaign
 
@@ -49,12 +51,18 @@ def nominal_of(model: CameraModel, plan: Campaign, counted: Counted | None = Non
     path = cache_folder() / "nominal" / f"{content_hash((SEED, code_hash(), model.digest(), seen))[:32]}.json"
     if (known := _read(load_json(path))) is not None:
         return known
-    progress = None if counted is None else lambda _, done, total: counted(done, total)
-    try:
-        table = measure_campaign(simulate(model, plan, SEED), summaries=False, progress=progress)
-    except InputError:  # nothing of the plan can be measured: whoever compares will say so
-        return Nominal()
-    made = {"choices": _offered(plan, table), "rows": _rows(table)}
+    made: dict[str, dict[str, Any]] = {"choices": {}, "rows": {}}
+    for i, shot in enumerate(plan.shots):
+        setup = replace(shot_setup(plan, shot, {}), regions=looked_at(shot, model.sensor))
+        captures = MemoryCaptures({shot.name: expose(model, setup, SEED)})
+        try:
+            table = measure_campaign(replace(plan.only([shot.name]), captures=captures), summaries=False)
+        except InputError:  # whoever compares will say so
+            continue
+        made["choices"] |= {key: table.choices[key] for key, _ in _careful(shot) if key in table.choices}
+        made["rows"][shot.name] = [m.key() for m in table.metrics]
+        if counted is not None:
+            counted(i + 1, len(plan.shots))
     save_json(path, made)
     return _read(json.loads(json.dumps(made))) or Nominal()  # as it will be read: equal content, equal keys
 
@@ -66,28 +74,17 @@ def _read(content: Any) -> Nominal | None:
     return Nominal(content["choices"], {name: tuple(map(tuple, rows)) for name, rows in content["rows"].items()})
 
 
-def _offered(plan: Campaign, table: MetricTable) -> dict[str, Any]:
-    """Choices of the analyses that can say whether others' hold."""
-    keys = [f"{shot.name}/{name}" for shot in plan.shots for name, _ in _careful(shot.role)]
-    return {key: table.choices[key] for key in keys if key in table.choices}
-
-
-def _careful(role: str) -> list[tuple[str, ModuleType]]:
-    return [(module.__name__.rsplit(".", 1)[-1], module) for module in analyses(role) if hasattr(module, "holds")]
-
-
-def _rows(table: MetricTable) -> dict[str, list[Key]]:
-    rows: dict[str, list[Key]] = {}
-    for m in table.metrics:
-        rows.setdefault(m.shot, []).append(m.key())
-    return rows
+def _careful(shot: Shot) -> list[tuple[str, ModuleType]]:
+    """The analyses of a shot that can say whether others' choices hold, by their keys among the choices."""
+    modules = [module for module in analyses(shot.role) if hasattr(module, "holds")]
+    return [(f"{shot.name}/{module.__name__.rsplit('.', 1)[-1]}", module) for module in modules]
 
 
 def that_hold(campaign: Campaign, nominal: Nominal) -> dict[str, Any]:
     """Those of the nominal choices that suit a campaign's captures; an analysis says so in ``holds``."""
     out: dict[str, Any] = {}
     for shot in campaign.shots:
-        offered = [(module, key) for name, module in _careful(shot.role) if (key := f"{shot.name}/{name}") in nominal.choices]
+        offered = [(module, key) for key, module in _careful(shot) if key in nominal.choices]
         captures = campaign.captures.read(shot.name) if offered else ()
         for module, key in offered:
             if captures and module.holds(shot, captures, nominal.choices[key]):

@@ -8,7 +8,7 @@ light or electronics a parameter changes are simulated again.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,10 @@ from isetval.core.context import Mode
 from isetval.core.metric import Differences, MetricTable
 from isetval.core.number_store import NumberStore
 from isetval.core.scene import RenderedTarget
+from isetval.core.sensor import Roi
 from isetval.loop.gaussian import scatter
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
+from isetval.loop.looked_at import looked_at
 from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part, sample_of, vectors_of
 from isetval.loop.task_runner import Call, Runner
 from isetval.loop.telling import Counted
@@ -38,6 +40,7 @@ SIGNATURE_SEEDS = (201,)
 RANDOM_SEEDS = (201, 202)
 # a specimen's pattern (hot pixels, columns) is one draw: its expectation needs many; a shot takes as many as its blocks say
 SPECIMEN_SEEDS = tuple(range(101, 113))
+LIT_PIXELS = 30_000_000  # whose light, 240 MB, is held until a call is done
 BASE_SEED = 7_000  # replicas have seeds that neither captures nor differences use
 
 
@@ -114,6 +117,7 @@ class Predictor:
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
         self._chosen = {name: content_hash(choices) for name, choices in self._choices.items()}
+        self._regions: dict[str, tuple[Roi, ...]] = {}
         self._memo = NumberStore(repr([shot.name for shot in self.shots]))
         self._runner = Runner(jobs, progress)
 
@@ -147,6 +151,10 @@ class Predictor:
         setup = shot_setup(self.plan, shot, values)
         if derivative and how.one_frame:
             setup = setup.of_one_frame()
+        if shot.name not in self._regions:
+            self._regions[shot.name] = looked_at(shot, camera.sensor)
+        if self._regions[shot.name]:
+            setup = replace(setup, regions=self._regions[shot.name])
         mode: Mode = "capture" if not derivative else "expected" if how.noise_free else "derivative"
         choices, chosen = self._choices[shot.name], self._chosen[shot.name]
         if shot.given is not None:
@@ -259,8 +267,9 @@ def _by_shot(tasks: Mapping[str, ShotPart]) -> Iterator[list[str]]:
     for key, task in tasks.items():
         groups.setdefault((task.setup.shot.name, task.chosen), []).append(key)
     for group in groups.values():
-        for i in range(0, len(group), TOGETHER):
-            yield group[i : i + TOGETHER]
+        step = max(1, min(TOGETHER, LIT_PIXELS // tasks[group[0]].pixels))
+        for i in range(0, len(group), step):
+            yield group[i : i + step]
 
 
 def _of_shot(choices: Mapping[str, Any], shot: str) -> dict[str, Any]:

@@ -94,7 +94,15 @@ class ShotPart:
 
     def key_of_light(self, mean: Float) -> str:
         """The same, by the light that came out in place of what it was made from."""
-        return content_hash((mean, self._rest))
+        parts = [mean[r.row0 : r.row1, r.col0 : r.col1] for r in self.setup.regions] or [mean]
+        return content_hash((parts, self._rest))
+
+    @property
+    def pixels(self) -> int:
+        """Of one frame."""
+        shot, sensor = self.setup.shot, self.model.sensor
+        rows, cols = (shot.window or (0, 0, sensor.rows, sensor.cols))[2:]
+        return rows * cols
 
 
 _MEASURED = Remembered(WORKER_BYTES)
@@ -194,15 +202,9 @@ def render_part(tasks: Sequence[ShotPart], rows: Rows) -> Float | None:
 def blocks_of(tasks: Sequence[ShotPart]) -> list[list[Block]]:
     """The blocks of tasks of one shot with equal choices; none where nothing of it can be measured."""
     out: list[list[Block]] = []
-    step = max(1, HELD_PIXELS // _pixels(tasks[0])) if tasks else 1
+    step = max(1, HELD_PIXELS // (tasks[0].pixels * tasks[0].setup.shot.frames)) if tasks else 1
     for i in range(0, len(tasks), step):
         part = tasks[i : i + step]
         captures = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices) for t in part]
         out += measure_shots(part[0].setup.shot, captures, choices=part[0].choices)
     return out
-
-
-def _pixels(task: ShotPart) -> int:
-    shot, sensor = task.setup.shot, task.model.sensor
-    rows, cols = (shot.window or (0, 0, sensor.rows, sensor.cols))[2:]
-    return shot.frames * rows * cols

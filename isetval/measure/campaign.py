@@ -14,6 +14,7 @@ from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.given import row_words
 from isetval.core.metric import Block, MetricTable
+from isetval.core.sensor import Roi
 from isetval.measure.given import given_block, same_rows
 from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
@@ -185,6 +186,22 @@ def _analyzed(
         else:
             if block.metrics:
                 yield name, block
+
+
+def regions_read(shot: Shot) -> tuple[Roi, ...] | None:
+    """All that the analyses of a shot without given rows look at, in pixels of its window; None: anything.
+
+    An analysis says so in ``reads``; one that has only ``GIVES`` answers for given rows and looks at nothing here.
+    """
+    out: tuple[Roi, ...] = ()
+    for module in analyses(shot.role):
+        if not hasattr(module, "reads"):
+            return None
+        found = module.reads(shot)
+        if found is None:
+            return None
+        out += tuple(found)
+    return out
 
 
 def measure_shots(

@@ -11,6 +11,7 @@ import numpy as np
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, plane_black_dn, planes_of
 from isetval.core.metric import Block, Metric
+from isetval.core.sensor import Roi
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.noise.patch_noise import Patch, uniform_patches
 
@@ -59,6 +60,11 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         for k, numbers in enumerate(levels.get(channel, ()))
     ]
     return Block(tuple(rows), choices={**choices, "levels": levels})
+
+
+def reads(shot: Shot) -> tuple[Roi, ...] | None:
+    """Nothing of a single frame, all of several."""
+    return () if shot.frames < 2 else None
 
 
 def holds(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.metric import Block, Metric
+from isetval.core.sensor import Roi
 from isetval.measure.analyses.patches import analyze as patch_means
 
 ROLES = ("chart", "scene")
@@ -23,6 +24,11 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     means = {(m.patch, m.channel): m for m in patch_means(shot, captures, {}).metrics if m.name == "patch_mean"}
     rows = (_ratio(row, means) for row in choices["wanted"])
     return Block(tuple(row for row in rows if row is not None))
+
+
+def reads(shot: Shot) -> tuple[Roi, ...]:
+    """Nothing but what the patches' means look at: it answers for given rows only."""
+    return ()
 
 
 def _ratio(row: Metric, means: Mapping[tuple[str, str], Metric]) -> Metric | None:

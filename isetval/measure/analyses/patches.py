@@ -12,12 +12,14 @@ from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
 from isetval.core.metric import Block, Differences, Metric
+from isetval.core.sensor import Roi
 from isetval.measure.color import line_profile, patches_over_frames
 from isetval.measure.conditions import metric, shot_conditions, window_label
 
 ROLES = ("chart", "scene")
 GIVES = ("patch_mean", "line_profile")
 LINE_STEPS = 12  # the paper's six gray patches of a row, twice each
+LINE_REACH_PX = 32  # across a line and beyond its ends: twice the widest strip of `line_profile`
 CLIPPED_SHARE = 0.001  # a patch of fewer than 1000 pixels may hold no clipped one
 LEAST_SIGMA_DN = 1e-3  # of noise-free simulations, whose rounding errs by more
 Found = tuple[Metric, str, float]
@@ -48,6 +50,16 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
             shared[pattern] = np.zeros(len(found))
             shared[pattern][i] = fixed_dn
     return Block(tuple(row for row, _, _ in found), shared=shared, differences=Differences(one_frame=True))
+
+
+def reads(shot: Shot) -> tuple[Roi, ...]:
+    """All that is looked at: patches, and the strips along lines."""
+    boxes = [Roi(*(int(n) for n in patch.box)) for patch in getattr(shot.target, "patches", ())]
+    for _, row0, col0, row1, col1 in getattr(shot.target, "lines", ()):
+        low, high = (math.floor(min(a, b)) - LINE_REACH_PX for a, b in ((row0, row1), (col0, col1)))
+        end_row, end_col = (math.ceil(max(a, b)) + LINE_REACH_PX for a, b in ((row0, row1), (col0, col1)))
+        boxes.append(Roi(low, end_row, high, end_col))
+    return tuple(boxes)
 
 
 def _reason(shot: Shot) -> str:
