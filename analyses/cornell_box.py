@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cornell_pictures import capture_sheet, display, half_size_rgb
 
 from isetval import Capture, load_model, simulate
-from isetval.app.plots.box import capture_sheet, display, half_size_rgb
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.scene import RenderedTarget
 from isetval.core.sensor import Exposure, Sensor

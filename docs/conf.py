@@ -28,7 +28,7 @@ source_suffix = {".rst": "restructuredtext", ".md": "markdown"}
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
 # links of architecture.md that lead out of the site, and headings of generated pages that begin at the second level
-suppress_warnings = ["myst.header", "myst.xref_missing", "config.cache"]
+suppress_warnings = ["myst.header", "myst.xref_missing", "config.cache", "toc.not_included", "toc.multiple_toc_parents"]
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 autosummary_generate = True

@@ -191,3 +191,11 @@ def test_ctrl_c_ends_with_one_line_and_no_traceback_of_workers(lab, tmp_path):
     assert "Traceback" not in out + err
     assert err.count("interrupted") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_the_known_answer_edge_is_what_the_ruler_finds(run_json, tmp_path):
+    code, truth, err = run_json("edge", "-o", tmp_path / "e.dng", "--sigma-px", 0.8, "--angle-deg", 7)
+    assert code == 0, err
+    found = isetval.measure.sfr(isetval.read_dng(tmp_path / "e.dng"), channel="MONO")
+    assert found.mtf50_cy_px == pytest.approx(truth["mtf50_cy_px"], rel=2e-3)  # no noise: whole codes, 1 of some thousand
+    assert run_json("edge", "-o", tmp_path / "f.dng", "--size", 2)[0] == 3

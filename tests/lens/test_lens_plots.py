@@ -40,3 +40,23 @@ def test_depth_of_field_peaks_at_the_focus_and_is_the_jinc_of_the_defocus_disc()
     x = np.pi * 50.0 * focal / f_number * (images[1] - images[0]) / images[1]
     # the sharp value holds the diffraction of both, to a percent
     assert found[0] / found[1] == pytest.approx(abs(2 * j1(x) / x), abs=0.02)
+
+
+def test_the_audit_command_draws_its_figures(tmp_path) -> None:
+    from isetval.app.cli import main
+    from isetval.core.toml import data_folder
+
+    lens = data_folder() / "lens" / "default_lens.json"
+    assert main(["lens", "audit", str(lens), "-q", "-o", str(tmp_path / "a.png")]) == 0
+    assert (tmp_path / "a.png").read_bytes()[1:4] == b"PNG"
+    assert main(["lens", "audit", str(lens), "-q", "-o", str(tmp_path / "a.html")]) == 3
+
+
+@pytest.mark.slow
+def test_the_audit_as_pdf_has_focus_spots_mtf_and_depth_of_field(tmp_path) -> None:
+    from isetval.app.cli import main
+    from isetval.core.toml import data_folder
+
+    lens = data_folder() / "lens" / "default_lens.json"
+    assert main(["lens", "audit", str(lens), "-q", "-o", str(tmp_path / "a.pdf")]) == 0
+    assert (tmp_path / "a.pdf").read_bytes().count(b"/Type /Page ") == 5

@@ -31,7 +31,9 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p = commands.add_parser("doctor", parents=[common], help="what is installed, which renderer is used and why")
     p.set_defaults(handler=doctor, writes_result=True)
     lens = commands.add_parser("lens", help="lens files: audit").add_subparsers(metavar="ACTION", required=True)
-    p = lens.add_parser("audit", parents=[common], help="contradictions inside a lens file", description=lens_audit.__doc__)
+    p = lens.add_parser(
+        "audit", parents=[common], help="contradictions of a lens file; -o NAME.png, .pdf", description=lens_audit.__doc__
+    )
     p.add_argument("file", type=Path, metavar="FILE", help="ray-transfer lens (JSON)")
     p.add_argument("--f-number", type=float, help="the f-number that the lens is said to have")
     p.add_argument("--sensor-diagonal", type=float, metavar="MM", help="diagonal of the sensor in mm")
@@ -44,7 +46,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         metavar="FILM_MM=OBJECT_M",
         help="a film distance that is said to focus an object (front vertex to object); may be given several times",
     )
-    p.set_defaults(handler=lens_audit, writes_result=True)
+    p.set_defaults(handler=lens_audit, writes_result=True, suffixes=(".pdf", ".png"))
     p = commands.add_parser("report", parents=[common], help="results -> one self-contained page", description=report.__doc__)
     p.add_argument("results", nargs="+", metavar="RESULT", type=Path, help="JSON results of measure, compare, diagnose, demo")
     p.add_argument("--open", action="store_true", help="open the page")
@@ -190,7 +192,10 @@ def _focus_pair(text: str) -> tuple[float, float]:
 
 
 def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
-    """Print what a lens file holds (f-number, fall-off, chief rays, focus) and flag where it contradicts itself."""
+    """Print what a lens file holds (f-number, fall-off, chief rays, focus) and flag where it contradicts itself.
+
+    With -o NAME.png its curves are drawn, with -o NAME.pdf also focus, spots, MTF and depth of field.
+    """
     from isetval.core.cache import file_hash
     from isetval.lens import audit_file
 
@@ -203,7 +208,16 @@ def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
         sensor_diagonal_mm=args.sensor_diagonal,
         film_mm=args.film,
     )
-    return Outcome({"kind": "lens audit", **found.to_json()}, found.lines(), FINE, {str(args.file): digest})
+
+    def page(suffix: str, _: Mapping[str, Any]) -> bytes:
+        from isetval.app.plots.lens import lens_figures
+        from isetval.app.plots.panels import figure_bytes, pdf_bytes
+
+        figures = lens_figures(args.file, found, whole=suffix == ".pdf")
+        return pdf_bytes(figures) if suffix == ".pdf" else figure_bytes(figures[0], "png")
+
+    result = {"kind": "lens audit", **found.to_json()}
+    return Outcome(result, found.lines(), FINE, {str(args.file): digest}, page=page)
 
 
 def report(args: argparse.Namespace, console: Console) -> Outcome:

@@ -8,6 +8,7 @@ from isetval.app.cli.archive_commands import register as register_archive
 from isetval.app.cli.cache_command import register as register_cache
 from isetval.app.cli.camera_commands import register as register_cameras
 from isetval.app.cli.completion_command import register as register_completion
+from isetval.app.cli.edge_command import register as register_edge
 from isetval.app.cli.inspection_commands import register as register_show
 from isetval.app.cli.laboratory_commands import register as register_lab
 from isetval.app.cli.laboratory_commands import register_demo
@@ -67,6 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
         register_cache,
         register_completion,
         register_roi,
+        register_edge,
         register_cameras,
     ):
         group(commands, common)

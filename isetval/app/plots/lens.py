@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from isetval.lens.focus import film_for_object, focus_curve
 from isetval.lens.psf import mtf
 from isetval.lens.spots import spot
+from isetval.lens.transfer_file import load_lens
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +34,19 @@ def audit_figure(audit: LensAudit) -> Figure:
     _focus(axes[1, 1], audit)
     figure.suptitle(f"{audit.name}: F/{audit.f_number:.2f} from the pass region, {len(audit.flags)} contradictions")
     return figure
+
+
+def lens_figures(file: Path | str, audit: LensAudit, *, whole: bool = True) -> list[Figure]:
+    """The audit's curves and, for the ``whole``, focus, spots, MTF and depth of field of the lens in ``file``."""
+    figures = [audit_figure(audit)]
+    if not whole:
+        return figures
+    lens = load_lens(file)
+    heights = [share * max(audit.r_mm) for share in (0.0, 0.5, 0.9)]
+    figures.append(focus_figure(lens))
+    figures.append(spot_figure(lens, heights_mm=heights))
+    figures.append(mtf_figure(lens, heights_mm=heights))
+    return [*figures, depth_of_field_figure(lens, focus_m=(0.3, 1.0))]
 
 
 def _curve(axis: Axes, x: Sequence[float], y: Sequence[float], label: str) -> None:
