@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from statistics import median
 from typing import Any
+
+FAR_NM = 60.0  # six widths of the filters
 
 
 def statements(result: dict[str, Any]) -> list[tuple[str, str, str]]:
@@ -59,13 +62,23 @@ def _dark(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 def _color(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     weak = [r for r in result["spectral"] if r["relative"] < 0.5]
     words = ", ".join(f"{r['channel']} at {r['light']} {100 * r['relative']:.1f} %" for r in weak)
+    far = [r for r in result["spectral"] if r["effective_nm"] and abs(r["effective_nm"] - r["nm"]) > FAR_NM]
+    missed = [(abs(r["effective_nm"] - r["nm"]) > FAR_NM, r["misfit_percent"]) for r in result["spectral"] if r["effective_nm"]]
+    rough, fine = (median([m for is_far, m in missed if is_far == k] or [0.0]) for k in (True, False))
+    leaks = ", ".join(f"{r['channel']} at {r['light']} sees {r['effective_nm']:.0f} nm on average" for r in far) or "none"
     return [
+        (
+            f"By the pattern of the 24 patches these channels see light far from their band: {leaks}.",
+            f"more than {FAR_NM:g} nm off; the patches' misfit is {rough:.0f} % there and {fine:.0f} % elsewhere (medians), so "
+            "the mixture is rough; disks of the same band lie apart in these colours (below), which says the same independently.",
+            "A second filter of the same band in the beam.",
+        ),
         (
             f"Weak channels against the strongest of the band: {words}.",
             "white patch, offset and bend removed, 1 to 3 % by drift; below 3 DN by the offset's own "
             "error. The absolute level of a band is not known.",
             "The projector's spectrum in absolute units, a monochromator.",
-        )
+        ),
     ]
 
 
@@ -120,8 +133,9 @@ def _named(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     out.append(
         (
             f"isetval compare, the whole model with laboratory priors: {compared}.",
-            "mean-square z stays far above 1: reflectances known to some percent, light and filters known by wide priors; "
-            "a rung that rises says that the nuisances of so few numbers fit in other ways, not that the response is wrong.",
+            "not a verdict: mean-square z stays far above 1 (reflectances known to some percent, light and filters by wide "
+            "priors), and why a rung rises where the frozen response above falls is not understood: the nuisances may not "
+            "have settled.",
             "Repeated frames, a measured light field and the projector's spectrum.",
         )
     )
