@@ -5,15 +5,26 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import multiprocessing
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from analyses.paper.common import DATA, ROOT, Result, print_result, timed
 from analyses.paper.page import write_page
 
-SCRIPTS = ("lens", "relative_illumination", "edges", "noise", "conversion_gain", "spectral_qe", "color")
+SCRIPTS = (
+    "lens",
+    "relative_illumination",
+    "edges",
+    "noise",
+    "conversion_gain",
+    "spectral_qe",
+    "color",
+)
 """In the order of the page."""
 
 
@@ -26,6 +37,22 @@ def table(results: list[Result]) -> list[dict[str, object]]:
     ]
 
 
+def result_of(name: str, data: Path) -> Result:
+    """One script's result, from a folder of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        return timed(importlib.import_module(f"analyses.paper.{name}").run, data, Path(folder))
+
+
+def results_of(names: tuple[str, ...], data: Path, jobs: int) -> list[Result]:
+    """The results in order, each printed when all before it are there; ``jobs`` scripts at a time."""
+    results = []
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for found in pool.map(partial(result_of, data=data), names):
+            print_result(found)
+            results.append(found)
+    return results
+
+
 def main() -> int:
     """Run the scripts, print the table, write the page."""
     parser = argparse.ArgumentParser(prog="python -m analyses.paper", description=__doc__)
@@ -35,6 +62,7 @@ def main() -> int:
         "--page", type=Path, default=ROOT / "reports" / "paper.html", help="the page (default: reports/paper.html)"
     )
     parser.add_argument("--only", nargs="*", choices=SCRIPTS, help="only these results (no page unless --page is stated)")
+    parser.add_argument("-j", "--jobs", type=int, default=2, help="scripts at a time (default: %(default)s)")
     args = parser.parse_args()
     if not (args.data / "measured").is_dir():
         print(f"{args.data}: no published data there (folder measured/ missing); name their folder with --data", file=sys.stderr)
@@ -42,11 +70,8 @@ def main() -> int:
     out = sys.stdout
     if args.json:
         sys.stdout = sys.stderr
-    start, results = time.perf_counter(), []
-    for name in args.only or SCRIPTS:
-        with tempfile.TemporaryDirectory() as folder:
-            results.append(timed(importlib.import_module(f"analyses.paper.{name}").run, args.data, Path(folder)))
-        print_result(results[-1])
+    start = time.perf_counter()
+    results = results_of(tuple(args.only or SCRIPTS), args.data, args.jobs)
     rows = table(results)
     seconds = time.perf_counter() - start
     print(f"\n{'claim':76s} | {'published':>16s} | {'measured':>16s} | {'ours':>16s} | target")
@@ -58,7 +83,7 @@ def main() -> int:
         print(" | ".join(cells), "|", met)
     print(f"{seconds:.0f} s")
     if not args.only:
-        write_page(args.page, results, seconds)
+        write_page(args.page, results)
         print(f"page: {args.page}")
     if args.json:
         json.dump(rows, out, indent=1)

@@ -10,7 +10,7 @@ from isetval import __version__
 from isetval.app.plots.panels import figure_bytes
 
 
-def write_page(path: Path, results: list[Result], seconds: float) -> None:
+def write_page(path: Path, results: list[Result]) -> None:
     """One file that needs nothing beside itself; written whole or not at all."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
@@ -30,7 +30,6 @@ def write_page(path: Path, results: list[Result], seconds: float) -> None:
         met=sum(bool(c.met) for c in judged),
         judged=len(judged),
         version=__version__,
-        minutes=round(seconds / 60, 1),
     )
     part = path.with_suffix(".part")
     part.write_text(text, encoding="utf-8")
