@@ -205,6 +205,19 @@ def lines(result: dict[str, object]) -> list[str]:
         f"slope {test['slope']:.2f} +- {test['slope_sigma']:.2f} (2 if the local gain is the cause), "
         f"correlation {test['correlation']:.2f}"
     ]
+    held = [row for row in result.get("held_out", []) if row["family"] != "all"]  # type: ignore[attr-defined]
+    if held:
+        out.append("the linear model on every sixth level, to which nothing was fitted: mean-square z (relative error) by family")
+        for row in sorted(held, key=lambda row: -row["mean_square_z"]):
+            error = f"{100 * row['rms_relative_error']:.1f} %"
+            out.append(f"  {row['family']}: {row['mean_square_z']:.1f} ({error}, n {row['n']})")
+        own = next(r["value"] for r in result["table"] if r["symbol"] == "PRNU1288.pixel")  # type: ignore[attr-defined]
+        lines_of = [r["family"] for r in held if r["mean_square_z"] > 10 and ("row" in r["family"] or "column" in r["family"])]
+        out.append(
+            f"{', '.join(lines_of)}: the linear model has no noise and no pattern of rows and columns, and they come first; "
+            f"the pixels' own pattern is {own:.3g} %, since the published one holds the slow unevenness of the light as well; "
+            "the local gain of the picture below is what is left of the temporal variance"
+        )
     diagnosis = result.get("diagnosis")
     if isinstance(diagnosis, dict):
         out.append(f"verdict: {diagnosis['verdict']}")

@@ -114,8 +114,11 @@ def find_disks(capture: Capture) -> list[Roi]:
     mask = picture < threshold_otsu(picture)
     if mask.mean() > 0.5:
         mask = ~mask
+    labels = label(mask)
+    size = np.bincount(labels.ravel())
+    labels[(size < math.pi * (LEAST_RADIUS_PX / step) ** 2)[labels]] = 0  # a noisy scene has specks by the hundred thousand
     out = []
-    for region in regionprops(label(mask)):
+    for region in regionprops(labels):
         radius = math.sqrt(region.area / math.pi) * step
         if radius < LEAST_RADIUS_PX or region.eccentricity > ROUND or region.solidity < FULL:
             continue
