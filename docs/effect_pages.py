@@ -67,7 +67,7 @@ def _page(cls, drawn):
     if drawn:
         lines += ["## Signature in the demo plan", "", f"![signature of {cls.name}]({cls.name}.svg)", ""]
         lines += [
-            "Change of the mean and of the noise of seven shots when the effect stands one plausible scale above the Pixel 4a.",
+            "Change of the noise-free mean and of the spread of one frame (bars: two standard errors) in seven shots, when the effect stands one plausible scale above the Pixel 4a.",
             "",
         ]
     lines += ["## Checked by", "", *(f"- `{path}`" for path in _tests(cls.name)), ""]
@@ -112,12 +112,16 @@ def _signatures(folder):
 
 
 def _levels(model, plan):
-    """Mean and standard deviation, DN above black, of every shot of a plan: one frame with its noise, always of the same seed."""
+    """Noise-free mean, standard deviation of a frame and its sampling error, DN above black in R, of every shot of a plan."""
     import isetval
 
     shot = isetval.simulate(model, plan, seed=1)
-    codes = [shot.captures.read(s.name)[0].mosaic.astype(float) for s in plan.shots]
-    return np.array([[c[0::2, 0::2].mean() - 64, c[0::2, 0::2].std()] for c in codes])
+    rows = []
+    for s in plan.shots:
+        red = shot.captures.read(s.name)[0].mosaic[0::2, 0::2].astype(float)
+        mean = model.expected(s, lights=plan.lights)[0::2, 0::2].mean() - 64
+        rows.append([mean, red.std(), red.std() / np.sqrt(2 * (red.size - 1))])
+    return np.array(rows)
 
 
 def _draw(path, before, after):
@@ -129,7 +133,8 @@ def _draw(path, before, after):
         figure.subplots(1, 2), (0, 1), ("mean above black, R (DN)", "standard deviation, R (DN)"), strict=True
     ):
         change = after[:, column] - before[:, column]
-        axis.bar(range(len(SHOTS)), change, color=["tab:gray"] * 2 + ["tab:blue"] * 4 + ["tab:orange"])
+        error = None if column == 0 else 2 * np.hypot(before[:, 2], after[:, 2])  # of two frames whose noise is drawn anew
+        axis.bar(range(len(SHOTS)), change, yerr=error, color=["tab:gray"] * 2 + ["tab:blue"] * 4 + ["tab:orange"], ecolor="0.4")
         axis.set_xticks(range(len(SHOTS)), [s[2:].replace("_center_v_z0", "") for s in SHOTS], rotation=40, fontsize=7)
         axis.axhline(0, color="0.4", lw=0.6)
         axis.set_ylabel(f"change of the\n{words}", fontsize=7)
