@@ -122,7 +122,7 @@ def power(rows):
 
 
 def families(rows):
-    """Mean-square z of each family on nulls, held out (nothing but nuisances fitted), pooled with its scatter over trials."""
+    """Mean-square z of each family on nulls (nothing but nuisances fitted), pooled over sessions with its scatter over them."""
     sums = defaultdict(list)
     for row, j in rows:
         if row["kind"] != "null" or not j["answered"]:
@@ -135,7 +135,7 @@ def families(rows):
         z2, n = np.array(values).T
         scatter = float(np.std(z2, ddof=1) / math.sqrt(len(z2))) if len(z2) > 1 else math.sqrt(2 / n.sum())
         mean = float(np.sum(z2 * n) / n.sum())
-        out.append({"family": family, "mean_square_z": mean, "error": scatter, "rows": int(n.mean()), "trials": len(z2)})
+        out.append({"family": family, "mean_square_z": mean, "error": scatter, "rows": int(n.mean()), "sessions": len(z2)})
     return out
 
 
@@ -145,7 +145,8 @@ def against_oracle(rows):
     for row, j in rows:
         if not j["answered"]:
             continue
-        said = [r["mean_square_z"] for r in row["answer"]["ladder"] if r["role"] == "prediction" and r["family"] == "all"]
+        held = [r for r in row["answer"]["ladder"] if r["role"] == "prediction" and r["family"] == "all"]
+        said = [r["mean_square_z"] for r in held if r["captures"] == held[-1]["captures"]]
         true = [r["mean_square_z"] for r in row["answer"].get("oracle", ()) if r["family"] == "all"]
         if said and true and j["right"]:
             out.append({"id": row["id"], "nominal": said[0], "found": said[-1], "oracle": true[0]})
@@ -212,5 +213,5 @@ def table_lines(found):
         lines.append(f"{'held-out mean-square z above the oracle, median':55s} {'.02':>12s} {words:>27s} {gap['n']:5d}")
     for row in found["families_on_nulls"]:
         words = f"{row['mean_square_z']:.3f} +- {row['error']:.3f}"
-        lines.append(f"{'nulls, mean-square z of ' + row['family']:55s} {'.9 to 1.1':>12s} {words:>27s} {row['trials']:5d}")
+        lines.append(f"{'nulls, mean-square z of ' + row['family']:55s} {'.9 to 1.1':>12s} {words:>27s} {row['sessions']:5d}")
     return lines
