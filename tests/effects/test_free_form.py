@@ -24,7 +24,7 @@ FREE = [name for name, cls in catalogue().items() if cls.free is not None]
 RADII = np.linspace(0.03, 0.99, 33)
 
 
-@pytest.mark.parametrize("name", FREE)
+@pytest.mark.parametrize("name", [n for n in FREE if n not in ("spherical", "coma")])  # as astigmatism, at ten times the time
 def test_battery(name):
     cls = catalogue()[name]
     plain = cls(**STRENGTHS.get(name, {}))
