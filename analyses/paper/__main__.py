@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import multiprocessing
 import sys
-import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from analyses.paper.common import DATA, ROOT, Result, print_result, timed
+from analyses.paper.common import DATA, ROOT, Result, print_result, result_of
 from analyses.paper.page import write_page
 
 SCRIPTS = (
@@ -35,12 +33,6 @@ def table(results: list[Result]) -> list[dict[str, object]]:
         for r in results
         for claim in r.claims
     ]
-
-
-def result_of(name: str, data: Path) -> Result:
-    """One script's result, from a folder of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        return timed(importlib.import_module(f"analyses.paper.{name}").run, data, Path(folder))
 
 
 def results_of(names: tuple[str, ...], data: Path, jobs: int) -> list[Result]:

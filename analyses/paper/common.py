@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import importlib
 import shutil
 import tempfile
 import time
@@ -121,6 +122,12 @@ def timed(script: Script, data: Path, work: Path) -> Result:
     start = time.perf_counter()
     found = script(data, work)
     return replace(found, seconds=time.perf_counter() - start)
+
+
+def result_of(name: str, data: Path) -> Result:
+    """The result of the script of this name, from a folder of its own; here, so that other processes find it."""
+    with tempfile.TemporaryDirectory() as folder:
+        return timed(importlib.import_module(f"analyses.paper.{name}").run, data, Path(folder))
 
 
 def main(script: Script, words: str) -> None:

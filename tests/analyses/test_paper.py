@@ -39,6 +39,17 @@ def test_printed_gain_does_not_follow_from_the_printed_mean(tmp_path):
     assert result.figure is not None
 
 
+def test_the_command_prints_the_table_as_json():
+    import subprocess
+    import sys
+
+    words = [sys.executable, "-m", "analyses.paper", "--only", "conversion_gain", "--json", "-j", "1", "--data", str(published())]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2])
+    rows = json.loads(done.stdout)
+    assert [row["met"] for row in rows] == [None, True]
+    assert rows[0]["gain"] == pytest.approx(STORED["conversion_gain"]["0.gain"]["value"], abs=0.001)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("script", [s for s in STORED if s != "conversion_gain"])
 def test_stored_numbers_of_the_paper_hold(script, tmp_path):
