@@ -177,14 +177,14 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> 
 
 
 def _needed(case: Investigation, other: Hypothesis) -> float:
-    """Ln of the odds that another hypothesis must have against what stands: a name needs 19 to 1 against the same without it.
+    """Ln of the odds that another hypothesis must have against what stands: a further name needs 19 to 1 against fewer.
 
     The first needs 19 to 1 for *anything* against nothing: look-alikes that share the probability do not hide each other.
     Without a hold-out it needs to be likelier than nothing, and the test at `ALPHA` with look-elsewhere to say so.
     """
     if other.names < case.standing.names:
         return -float(np.log(ODDS))
-    if not case.standing.names < other.names:
+    if len(other.names) <= len(case.standing.names):
         return 0.0
     if case.standing.names:
         return float(np.log(ODDS))
