@@ -21,6 +21,7 @@ SCRIPTS = (
     "noise",
     "conversion_gain",
     "spectral_qe",
+    "inter_reflections",
     "color",
 )
 """In the order of the page."""
