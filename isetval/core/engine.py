@@ -29,8 +29,8 @@ class Engine(Protocol):
         """How many works run at the same time."""
         ...
 
-    def executor(self) -> Executor:
-        """A working executor: a new one after the last one broke."""
+    def executor(self, *, broken: bool = False) -> Executor:
+        """The executor; a new one if the last one is ``broken``."""
         ...
 
     def close(self, *, wait: bool = True) -> None:
@@ -114,7 +114,7 @@ def run_works(
                 pending[executor.submit(function, work.items)] = work
             except BrokenExecutor:  # it broke while it was idle: no work's doing
                 queues.suspects.appendleft(work)
-                executor, alone, deaths = engine.executor(), False, _counted(deaths)
+                executor, alone, deaths = engine.executor(broken=True), False, _counted(deaths)
         if not pending:
             return
         broken: list[_Work[T]] = []
@@ -133,7 +133,7 @@ def run_works(
                 deaths = 0
                 yield work.items, result
         if broken:
-            executor, deaths = engine.executor(), _counted(deaths)
+            executor, deaths = engine.executor(broken=True), _counted(deaths)
             if alone:
                 yield from _halved(broken.pop(), queues)
             queues.suspects.extend(broken)
@@ -187,7 +187,7 @@ class Here:
 
     workers = 1
 
-    def executor(self) -> Executor:
+    def executor(self, *, broken: bool = False) -> Executor:
         """An executor that works at once."""
         return _Inline()
 
@@ -215,12 +215,14 @@ class Processes:
         self.workers = jobs
         self._pool: Any = None
 
-    def executor(self) -> Executor:
-        """A new pool; the one before, if any, is broken and ended."""
+    def executor(self, *, broken: bool = False) -> Executor:
+        """The pool, started when it is first asked for; a broken one is ended before."""
         from isetval.core.workers import worker_pool
 
-        self.close(wait=False)
-        self._pool = worker_pool(self.workers)
+        if broken:
+            self.close(wait=False)
+        if self._pool is None:
+            self._pool = worker_pool(self.workers)
         pool: Executor = self._pool
         return pool
 
@@ -274,7 +276,7 @@ class Cluster:
         """Threads of all workers now."""
         return max(1, int(sum(self._client.nthreads().values())))
 
-    def executor(self) -> Executor:
+    def executor(self, *, broken: bool = False) -> Executor:
         """The client's own executor; works of a dead worker go to another one."""
         self._check_running()
         executor: Executor = self._client.get_executor(retries=2, pure=False)
