@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,8 @@ SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked only where they are closer
 BENDS = 0.5  # share of what a single effect explains that its signature may be wrong by: what the nuisances leave of it is small,
 # and another form of it explains more (a vignetting of 6 %: 42 of 89 in ln Z)
+BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
+# Z grows with the logarithm of chi2 only and cannot be asked (a black level of 140 sigma left 3 % of a chi2 of 20,000)
 RANKED = 20  # subsets looked at for what to fit: those after them hold less than one in a hundred
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
@@ -222,7 +225,11 @@ def _proposals(case: Investigation, *, first: bool) -> list[Names]:
         return []
     gain = logs[singles[0]] - logs[NOTHING]
     floor = max(logs[singles[0]] - CLOSE_LOG_ODDS - BENDS * max(gain, 0.0), logs[NOTHING] - CLOSE_LOG_ODDS)
-    return [names for names in singles if logs[names] > floor]
+    chi2 = dict.fromkeys(singles, 0.0) | {frozenset({row.name}): row.dchi2 for row in case.rows}
+    most = max(chi2[names] for names in singles)
+    likely = [names for names in singles if logs[names] > floor]
+    bent = sorted((n for n in singles if chi2[n] > (1 - BEND**2) * most and logs[n] > logs[NOTHING]), key=lambda n: -chi2[n])
+    return list(dict.fromkeys(name for both in zip_longest(likely, bent) for name in both if name))
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:

@@ -69,11 +69,11 @@ def linear_model(problem: Problem, fitted: Fit, terms: Sequence[Term] = ()) -> L
     )
 
 
-def hypothesis(problem: Problem, members: Sequence[Member], fitted: Fit, values: Mapping[str, float] | None = None) -> Hypothesis:
-    """A fit of ``members`` with its evidence."""
-    weighed = weigh(linear_model(problem, fitted), ())
+def hypothesis(problem: Problem, members: Sequence[Member], fitted: Fit, *, rough: bool = False) -> Hypothesis:
+    """A fit of ``members`` with its evidence; ``rough``: it does not stand at its bottom, to which its derivatives lead."""
+    weighed = weigh(linear_model(problem, fitted), (), fitted=not rough)
     found = {key: fitted.value(key)[0] for m in members for key in m.keys}
-    return Hypothesis(tuple(members), fitted, weighed.log_evidence, weighed, values or found)
+    return Hypothesis(tuple(members), fitted, weighed.log_evidence, weighed, found)
 
 
 def refit(
@@ -104,7 +104,7 @@ def refit(
     """
     free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
     point = _starting_point(nominal, near.fitted.point.values, free, members, start)
-    found = hypothesis(problem, members, fit(problem, point, free, iterations=iterations))
+    found = hypothesis(problem, members, fit(problem, point, free, iterations=iterations), rough=not iterations)
     gain = found.log_evidence - near.log_evidence
     if promised is None or gain > WORTH * (promised - near.log_evidence):
         return found

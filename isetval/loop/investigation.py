@@ -188,7 +188,8 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
             start = added.get(m.name, np.zeros(len(m.keys)))
             values |= first_values(m, case.signatures[m.name], start)
     values = {key: values[key] for m in members for key in m.keys}
-    promised = weighed.log_evidence if weighed is not None and names != reference.names else None
+    drawn = any(isinstance(m, Candidate) and m.effect.rare and m.name not in reference.names for m in members)
+    promised = weighed.log_evidence if weighed is not None and drawn else None
     found = refit(case.problem, case.prepared.model, reference, members, values, _steps(members, values), promised)
     case.known[names] = found
     return found
@@ -218,7 +219,7 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
     def log_probability(found: Hypothesis) -> float:
         model = named_model(nominal, found)
         there = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
-        return weigh(linear_model(problem, there), ()).log_evidence
+        return weigh(linear_model(problem, there), (), fitted=True).log_evidence
 
     asked = [h for h in others if h.names not in case.told and h is not case.standing]
     if asked:

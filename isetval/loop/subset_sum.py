@@ -103,8 +103,12 @@ class Weighed:
     scales: Float
 
 
-def weigh(model: LinearModel, subset: Subset, scales: Float | None = None) -> Weighed:
-    """Evidence of one subset, its scales at their most probable values (absolute: nothing is taken off)."""
+def weigh(model: LinearModel, subset: Subset, scales: Float | None = None, *, fitted: bool = False) -> Weighed:
+    """Evidence of one subset, its scales at their most probable values (absolute: nothing is taken off).
+
+    ``fitted`` says that the model was linearised at the bottom, where everything free in it stands: what its derivatives
+    promise beyond, the full model has denied (derivatives of whole codes may promise everything).
+    """
     use = model.columns(subset)
     scales = np.ones(model.counts.size) if scales is None else scales
     dof, counts = model.scale_dof, model.counts
@@ -114,7 +118,7 @@ def weigh(model: LinearModel, subset: Subset, scales: Float | None = None) -> We
     for _ in range(SCALE_TURNS):
         hessian = np.tensordot(1 / scales, inner, 1) + model.prior[pick]
         inverse = np.linalg.inv(hessian)
-        x = inverse @ (cross.T @ (1 / scales) + model.prior[use, last])
+        x = np.zeros(use.size) if fitted else inverse @ (cross.T @ (1 / scales) + model.prior[use, last])
         inside = np.einsum("fij,i,j->f", inner, x, x)
         left = square - 2 * cross @ x + inside + np.einsum("fij,ij->f", inner, inverse)
         new = (dof + left) / (dof + counts)
@@ -122,17 +126,17 @@ def weigh(model: LinearModel, subset: Subset, scales: Float | None = None) -> We
         scales = new
         if settled:
             break
-    return at_scales(model, subset, scales)
+    return at_scales(model, subset, scales, fitted=fitted)
 
 
-def at_scales(model: LinearModel, subset: Subset, scales: Float) -> Weighed:
+def at_scales(model: LinearModel, subset: Subset, scales: Float, *, fitted: bool = False) -> Weighed:
     """Evidence of one subset at given scales of the families."""
     p = model.held.size
     use, last = model.columns(subset), -1
     total = np.tensordot(1 / scales, model.grams, 1) + model.prior
     hessian, cross = total[np.ix_(use, use)], total[use, last]
     inverse = np.linalg.inv(hessian)
-    x = inverse @ cross
+    x = np.zeros(use.size) if fitted else inverse @ cross
     cost = total[last, last] - cross @ x
     log_z = -0.5 * cost - 0.5 * float(np.linalg.slogdet(hessian)[1])
     log_z -= 0.5 * float(np.sum(model.counts * np.log(scales) + model.scale_dof * (np.log(scales) + 1 / scales - 1)))

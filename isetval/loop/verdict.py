@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Doubt, Signature
@@ -17,9 +18,10 @@ from isetval.loop.investigation import Investigation, named_model, second_sessio
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter
-from isetval.loop.score_test import cosine, make_frame
+from isetval.loop.score_test import cosine
 from isetval.loop.unknown import Finding, family_excess, misfit, pulled
 
+Float = NDArray[np.float64]
 Say = Callable[[str], None]
 SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
@@ -85,7 +87,7 @@ class Likeness:
 
 def _likenesses(case: Investigation) -> dict[str, Likeness]:
     """Of every named effect: what may stand in its place in the sum, and what shows alike whatever is measured."""
-    frame, white, logs = make_frame(case.fitted), case.white(), case.table.logs
+    frame, white, logs = case.nominal_frame, _nominal_signatures(case), case.table.logs
     stands, out = case.standing.names, {}
     others = [c.name for c in case.candidates if c.name not in (*stands, *case.unobservable)]
     klass = {c.name: c.klass for c in case.candidates}
@@ -100,13 +102,18 @@ def _likenesses(case: Investigation) -> dict[str, Likeness]:
     return out
 
 
-def _pairs(case: Investigation, like: Mapping[str, Likeness]) -> list[tuple[Signature, Signature]]:
-    """The named effects against what is closest to them, as the nominal model's own weights have it.
+def _nominal_signatures(case: Investigation) -> dict[str, Float]:
+    """Whitened signatures with the weights of the nominal model, which ``nominal_frame`` goes with.
 
     At the present base other rows may be kept, and a named effect is free there: nothing of its own signature is left.
     """
     problem, _ = case.prepared.settled(case.prepared.model)
-    frame, white = case.nominal_frame, {name: problem.whitened(s.columns) for name, s in case.signatures.items()}
+    return {name: problem.whitened(s.columns) for name, s in case.signatures.items()}
+
+
+def _pairs(case: Investigation, like: Mapping[str, Likeness]) -> list[tuple[Signature, Signature]]:
+    """The named effects against what is closest to them, as the nominal model's own weights have it."""
+    frame, white = case.nominal_frame, _nominal_signatures(case)
     klass = {c.name: c.klass for c in case.candidates}
     out = []
     for name, others in like.items():
