@@ -175,8 +175,16 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> 
     if abs(case.score(lead) - case.score(case.standing)) < CLEAR:
         say("asking the hold-out")
         ask_holdout(case, [h for h in case.known.values() if h is lead or h in tried or h.names < case.standing.names])
-    wins = [h for h in rivals if case.score(h) - case.score(case.standing) > _needed(case, h)]
+    wins = [h for h in rivals if case.score(h) - case.score(case.standing) > _needed(case, h) and _asked_for(case, h)]
     return max(wins, key=case.score, default=None)
+
+
+def _asked_for(case: Investigation, other: Hypothesis) -> bool:
+    """Whether data ask for more names in the place of fewer: a form that fits as well does not give way for its length."""
+    stands = case.standing
+    if not stands.names or len(other.names) <= len(stands.names) or other.names > stands.names:
+        return True
+    return stands.fitted.chi2 - other.fitted.chi2 > 2 * float(np.log(ODDS))
 
 
 def _needed(case: Investigation, other: Hypothesis) -> float:
