@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from isetval.camera.model import CameraModel
 from isetval.core.effect import Effect
+from isetval.core.jsonable import plain
 from isetval.core.shown import Drawn
 from isetval.effects import catalogue
 from isetval.loop.comparison import LadderRow
@@ -148,27 +149,30 @@ class Diagnosis(Drawn):
         return self.model
 
     def to_json(self) -> dict[str, Any]:
-        """The stable JSON form."""
-        return {
-            "verdict": self.verdict,
-            "effects": [_effect_json(e) for e in self.effects],
-            "unobservable": list(self.unobservable),
-            "next_captures": [
-                {"capture": c.capture, "separates": list(c.separates), "rho_before": c.rho_before, "rho_after": c.rho_after}
-                for c in self.next_captures
-            ],
-            "leftover": self.leftover,
-            "ladder": [vars(row) for row in self.ladder],
-            "candidates": [
-                vars(row) | {"estimate": {k: {"value": v, "sigma": s} for k, (v, s) in row.estimate.items()}}
-                for row in self.candidates
-            ],
-            "gate": dict(self.gate),
-            "holdout": dict(self.holdout_gain),
-            "probabilities": dict(self.probabilities),
-            "notes": list(self.notes),
-            "settings": dict(self.settings),
-        }
+        """The stable JSON form; None for what is not finite."""
+        found: dict[str, Any] = plain(
+            {
+                "verdict": self.verdict,
+                "effects": [_effect_json(e) for e in self.effects],
+                "unobservable": list(self.unobservable),
+                "next_captures": [
+                    {"capture": c.capture, "separates": list(c.separates), "rho_before": c.rho_before, "rho_after": c.rho_after}
+                    for c in self.next_captures
+                ],
+                "leftover": self.leftover,
+                "ladder": [vars(row) for row in self.ladder],
+                "candidates": [
+                    vars(row) | {"estimate": {k: {"value": v, "sigma": s} for k, (v, s) in row.estimate.items()}}
+                    for row in self.candidates
+                ],
+                "gate": dict(self.gate),
+                "holdout": dict(self.holdout_gain),
+                "probabilities": dict(self.probabilities),
+                "notes": list(self.notes),
+                "settings": dict(self.settings),
+            }
+        )
+        return found
 
 
 def _effect_json(effect: NamedEffect) -> dict[str, Any]:
