@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign
+from isetval.core.jsonable import plain
 from isetval.core.shown import Drawn
 from isetval.loop.candidates import candidates_for, signatures
 from isetval.loop.fit import fit, nuisance_parameters
@@ -70,13 +71,14 @@ class Identifiability(Drawn):
         return pd.DataFrame([vars(p) for p in self.parameters], columns=list(Detectability.__dataclass_fields__))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers and words."""
-        return {
+        """Plain numbers and words; None for what is not finite."""
+        found: dict[str, Any] = {
             "parameters": [vars(p) for p in self.parameters],
             "unobservable": list(self.unobservable),
             "pairs": [{"effects": [a, b], "rho": rho, "next": self._next_json(a, b)} for a, b, rho in self.pairs],
             "next_captures": [vars(c) | {"separates": list(c.separates)} for c in self.next_captures],
         }
+        return {name: plain(value) for name, value in found.items()}
 
     def _next_json(self, a: str, b: str) -> dict[str, Any] | None:
         """The capture that separates a pair best; None where none that was tried does, or none was searched."""
