@@ -61,7 +61,7 @@ def _remembered(path: str, modified_ns: int, size: int) -> str:
     return file_hash(path)
 
 
-def bytes_hash(data: bytes) -> str:
+def bytes_hash(data: bytes | memoryview) -> str:
     """SHA-256 of bytes, in hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 

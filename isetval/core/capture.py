@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isetval.core.errors import InputError
+from isetval.core.provenance import Provenance
 from isetval.core.sensor import Exposure, Position, Roi, RoiLike, Sensor, black_at, plane_names, plane_position
 
 Float = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Capture:
         mosaic.flags.writeable = False
         object.__setattr__(self, "mosaic", mosaic)
         object.__setattr__(self, "window", (int(row0), int(col0)))
-        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        object.__setattr__(self, "provenance", Provenance.of(self.provenance))
 
     @classmethod
     def from_array(

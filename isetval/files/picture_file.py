@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
 
+Buffer = bytes | memoryview
+Read = TypeVar("Read", bytes, memoryview)
 MAGIC = (
     (b"\xff\xd8\xff", "a JPEG picture"),
     (b"\x89PNG\r\n\x1a\n", "a PNG picture"),
@@ -49,13 +53,28 @@ def read_bytes(path: str | os.PathLike[str], *, kind: str = "a DNG file") -> byt
     InputError
         For a missing file, a directory, an empty or an unreadable file.
     """
+    return _read(path, kind, Path.read_bytes)
+
+
+def read_buffer(path: str | os.PathLike[str], *, kind: str = "a DNG file") -> memoryview:
+    """The whole file in an array's memory, whose large pages are had ten times quicker than the small ones of ``bytes``.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`.
+    """
+    return _read(path, kind, lambda target: np.fromfile(target, np.uint8).data.toreadonly())
+
+
+def _read(path: str | os.PathLike[str], kind: str, read: Callable[[Path], Read]) -> Read:
     target = Path(path)
     if target.is_dir():
         raise refusal(target, "this is a directory", kind, "name a file inside it")
     if target.exists() and not target.is_file():
         raise refusal(target, "this is a device or a pipe", kind, "copy its contents into a file first")
     try:
-        data = target.read_bytes()
+        data = read(target)
     except FileNotFoundError:
         raise refusal(target, "there is no such file", kind, "check the name and the folder") from None
     except OSError as error:
@@ -81,16 +100,16 @@ def check_not_constant(path: object, mosaic: NDArray[np.uint16], *, white: float
         raise refusal(path, f"every pixel is {value}", "a picture", "use the original file, the samples of this one are gone")
 
 
-def what_is(data: bytes) -> str:
+def what_is(data: Buffer) -> str:
     """Words for what the first bytes of a file say it is."""
+    head = bytes(data[:512])
     for magic, words in MAGIC:
-        if data.startswith(magic):
+        if head.startswith(magic):
             return words
-    if data[4:8] == b"ftyp":
+    if head[4:8] == b"ftyp":
         return "an ISO media file (HEIF, AVIF, CR3 or video)"
-    if data[:4] in (b"II*\x00", b"MM\x00*"):
+    if head[:4] in (b"II*\x00", b"MM\x00*"):
         return "a TIFF"
-    head = data[:512]
     if all(byte >= 32 or byte in (9, 10, 13) for byte in head):
         return "a text file"
     return "neither a TIFF nor any other picture known here"

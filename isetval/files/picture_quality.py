@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.files.picture_file import Remark
+from isetval.measure.noise.code_counts import CodeCounts, code_counts
 
 Mosaic = NDArray[np.uint16]
 
@@ -21,7 +22,7 @@ COMMON_COUNT = 30  # a Poisson count of mean 30 is 0 with probability 1e-13
 WIDEST_GAP = 15  # the gaps of a shift by four bits (12 bits stored as 16), the widest in use
 CLIPPED_SHARE_NAMED = 1e-4  # ten hot or dead pixels in 10^5 are ordinary
 LEAST_OUT_DN = 8  # how far a bad pixel stands out at least: quantisation and a quiet dark give single codes
-STRIP_ROWS = 128  # of a plane: half a megabyte of a 12 MP frame, the second-level cache of common processors
+STRIP_BYTES = 1 << 18  # read twice: they stay in the second-level cache of common processors
 NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
 
@@ -48,15 +49,24 @@ class Clipping:
 def clipping(capture: Capture) -> tuple[Clipping, ...]:
     """Pixels of every color plane at 0, and at or above the white level."""
     white_dn = capture.sensor.white_dn
-    # most pictures have no such pixel at all, and two passes over the frame are quicker than eight over planes
-    zeros, whites = bool(capture.mosaic.min() == 0), bool(capture.mosaic.max() >= white_dn)
-    out = []
-    for plane in planes_of(capture):
-        view = plane_view(capture, plane)[0]
-        at_zero = int(np.count_nonzero(view == 0)) if zeros else 0
-        at_white = int(np.count_nonzero(view >= white_dn)) if whites else 0
-        out.append(Clipping(plane, view.size, at_zero, at_white))
-    return tuple(out)
+    # most pictures have no such pixel at all, and one look at the frame is quicker than eight at planes
+    lowest, highest = extremes(capture.mosaic)
+    if lowest > 0 and highest < white_dn:
+        return tuple(Clipping(plane, plane_view(capture, plane)[0].size, 0, 0) for plane in planes_of(capture))
+    return clipping_of(code_counts(capture), white_dn)
+
+
+def clipping_of(counts: Mapping[str, CodeCounts], white_dn: float) -> tuple[Clipping, ...]:
+    """The same from the counts of the planes' codes."""
+    return tuple(Clipping(plane, c.pixels, c.at_zero, c.from_code(white_dn)) for plane, c in counts.items())
+
+
+def extremes(mosaic: Mosaic) -> tuple[int, int]:
+    """Smallest and largest code, some rows at a time: they come from memory once."""
+    rows = max(1, STRIP_BYTES // max(2 * mosaic.shape[1], 1))
+    strips = [mosaic[row : row + rows] for row in range(0, mosaic.shape[0], rows)]
+    found = [(int(strip.min()), int(strip.max())) for strip in strips]
+    return min(low for low, _ in found), max(high for _, high in found)
 
 
 def clipping_remarks(counts: tuple[Clipping, ...]) -> list[Remark]:
@@ -94,14 +104,15 @@ def _odd_line(lines: Mosaic, index: int) -> str | None:
     A picture's own structure (gradients, texture, row noise) makes all steps alike; a bad line makes
     the first one stand out.
     """
-    phase = lines[index :: 2 if index == 0 else -2][: NEIGHBORS + 1].astype(float)
+    phase = lines[index :: 2 if index == 0 else -2][: NEIGHBORS + 1].astype(np.float32)  # holds codes and halves exactly
     line, behind = phase[0], phase[1:]
     # a chance of 1e-6 that pixels like those behind would all have one value
     if np.ptp(line) == 0 and line.size * np.log1p(-min(float(np.mean(behind != line[0])), 0.999)) < np.log(1e-6):
         return f"holds {int(line[0])} everywhere"
     steps = np.diff(phase, axis=0)
-    noise = max(float(NORMAL_MAD * np.median(np.abs(steps[1:] - np.median(steps[1:], axis=1, keepdims=True)))), 0.5)
-    shift, *usual_shift = np.median(steps, axis=1).tolist()
+    middles = np.median(steps, axis=1)
+    noise = max(float(NORMAL_MAD * np.median(np.abs(steps[1:] - middles[1:, None]))), 0.5)
+    shift, *usual_shift = middles.tolist()
     scatter = noise * np.sqrt(np.pi / 2 / line.size)
     if abs(shift) > max(OUTLIER_SIGMAS * scatter, 4 * max(map(abs, usual_shift)), 1.0):
         return f"lies {-shift:+.1f} DN from its neighbors"
@@ -129,7 +140,11 @@ def code_use(mosaic: Mosaic) -> Codes:
     shift by four bits) whose two ends occur at least 30 times each: a Poisson count of mean 30 is
     zero with probability 1e-13, while the tails of a picture thin out before they end.
     """
-    counts = np.bincount(mosaic.ravel(), minlength=2)
+    return code_use_of(np.bincount(mosaic.ravel(), minlength=2))
+
+
+def code_use_of(counts: NDArray[np.int64]) -> Codes:
+    """The same from how often each code occurs."""
     total = np.cumsum(counts)
     quantile = np.searchsorted(total, np.array([0.001, 0.5, 0.99]) * total[-1])
     used = np.flatnonzero(counts)
@@ -159,45 +174,83 @@ def bad_pixels(capture: Capture) -> dict[str, int]:
     neighbors of the same color by more than eight times the typical range of such neighbors (one
     sixth of it stands for sigma) and by more than 8 DN.  Rim pixels of a plane are not judged.
     """
-    hot = dead = 0
-    for plane in planes_of(capture):
-        view = plane_view(capture, plane)[0]
-        if min(view.shape) >= 3:
-            above, below = _standing_out(view)
-            hot += above
-            dead += below
-    return {"hot": hot, "dead": dead}
+    step = 1 if capture.sensor.cfa == "MONO" else 2
+    rows, cols = capture.mosaic.shape
+    if min(rows, cols) <= 2 * step:
+        return {"hot": 0, "dead": 0}
+    found = _standing_out(capture.mosaic, step)
+    counts = {"hot": 0, "dead": 0}
+    for phase in {place.phase for place in found}:
+        typical = _typical_range(capture.mosaic, step, phase)
+        for place in found:
+            if place.phase == phase:
+                counts[place.kind] += _far_out(place, typical)
+    return counts
 
 
-def _standing_out(view: Mosaic) -> tuple[int, int]:
-    """Pixels of a plane far above and far below their neighbors, in strips that stay in the processor's cache."""
-    counts = np.zeros(65536, np.int64)
-    found: dict[str, list[Mosaic]] = {"above": [], "below": []}
-    for row in range(0, view.shape[0] - 2, STRIP_ROWS):
-        part = np.ascontiguousarray(view[row : row + STRIP_ROWS + 2])
-        middle, high, low = part[1:-1, 1:-1], _of_neighbors(np.maximum, part), _of_neighbors(np.minimum, part)
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Pixels of one phase of the mosaic far above or below their neighbors: distances and ranges of the neighbors, DN."""
+
+    kind: str
+    phase: tuple[int, int]
+    distance: Mosaic
+    span: Mosaic
+
+
+def _strips(mosaic: Mosaic, step: int) -> Iterator[tuple[int, Mosaic]]:
+    """First judged row and rows of strips with the neighbors of all but their rims; they stay in the processor's cache."""
+    rows, cols = mosaic.shape
+    high = step * max(1, STRIP_BYTES // (2 * step * cols))
+    for top in range(step, rows - step, high):
+        yield top, mosaic[top - step : min(top + high + step, rows)]
+
+
+def _standing_out(mosaic: Mosaic, step: int) -> list[_Found]:
+    """Pixels that lie outside their neighbors by at least the range of these and by more than the least limit.
+
+    `_far_out` asks for more of both; here it is what keeps whole numbers of 16 bits from overflowing.
+    """
+    out = []
+    for top, part in _strips(mosaic, step):
+        middle = part[step:-step, step:-step]
+        high, low = _of_neighbors(np.maximum, part, step), _of_neighbors(np.minimum, part, step)
         span = high - low
+        for kind, far, near in (("hot", np.maximum(middle, high), high), ("dead", low, np.minimum(middle, low))):
+            distance = far - near
+            at = distance > LEAST_OUT_DN
+            if at.any():
+                at &= distance // 2 >= span
+            for row, col in np.ndindex(step, step) if at.any() else ():
+                own = (slice((row - top) % step, None, step), slice((col - step) % step, None, step))
+                if at[own].any():
+                    out.append(_Found(kind, (row, col), distance[own][at[own]], span[own][at[own]]))
+    return out
+
+
+def _of_neighbors(extreme: Callable[..., Mosaic], part: Mosaic, step: int) -> Mosaic:
+    """Largest or smallest of the eight neighbors of all but the rim, (rows - 2 step, cols - 2 step)."""
+    pair = extreme(part[:, : -2 * step], part[:, 2 * step :])
+    three = extreme(pair, part[:, step:-step])
+    out = extreme(three[: -2 * step], three[2 * step :])
+    return extreme(out, pair[step:-step], out=out)
+
+
+def _typical_range(mosaic: Mosaic, step: int, phase: tuple[int, int]) -> float:
+    """Median range of the eight neighbors of the pixels of one phase."""
+    counts = np.zeros(65536, np.int64)
+    for top, part in _strips(mosaic, step):
+        own = part[(phase[0] - top) % step :: step, phase[1] :: step]
+        span = _of_neighbors(np.maximum, own, 1) - _of_neighbors(np.minimum, own, 1) if min(own.shape) > 2 else own[:0]
         counts += np.bincount(span.ravel(), minlength=65536)
-        for name, far, near in (("above", middle, high), ("below", low, middle)):
-            # only what stands out by more than the smallest limit is looked at again, with the typical range
-            at = far > np.minimum(near, 65535 - LEAST_OUT_DN) + LEAST_OUT_DN
-            found[name].append(np.stack([far[at] - near[at], span[at]]))
-    typical = _median(counts)
-    above, below = (_far_out(np.concatenate(parts, axis=1), typical) for parts in found.values())
-    return above, below
+    return _median(counts)
 
 
-def _of_neighbors(extreme: Callable[[Mosaic, Mosaic], Mosaic], part: Mosaic) -> Mosaic:
-    """Largest or smallest of the eight neighbors of all but the rim, (rows - 2, cols - 2)."""
-    three = extreme(extreme(part[:, :-2], part[:, 1:-1]), part[:, 2:])
-    return extreme(extreme(three[:-2], three[2:]), extreme(part[1:-1, :-2], part[1:-1, 2:]))
-
-
-def _far_out(found: Mosaic, typical: float) -> int:
-    """How many of (distance, range of the neighbors) lie beyond the limit."""
+def _far_out(found: _Found, typical: float) -> int:
+    """How many of them lie beyond the limit."""
     # eight normal numbers span 2.85 sigma on average
-    sigma = np.maximum(found[1].astype(float), typical) / 2.85
-    return int(np.count_nonzero(found[0] > np.maximum(OUTLIER_SIGMAS * sigma, LEAST_OUT_DN)))
+    sigma = np.maximum(found.span.astype(float), typical) / 2.85
+    return int(np.count_nonzero(found.distance > np.maximum(OUTLIER_SIGMAS * sigma, LEAST_OUT_DN)))
 
 
 def _median(counts: NDArray[np.int64]) -> float:
@@ -217,8 +270,9 @@ def describe_capture(capture: Capture) -> dict[str, Any]:
         ``clipped`` (per plane: counts and shares), ``bad_pixels`` (hot, dead), ``codes``
         (lowest, highest, median, missing), ``warnings`` (code, message), ``provenance``.
     """
-    counts = clipping(capture)
-    codes = code_use(capture.mosaic)
+    used = code_counts(capture)
+    counts = clipping_of(used, capture.sensor.white_dn)
+    codes = code_use_of(np.sum([c.counts for c in used.values()], axis=0))
     remarks = [*_stored(capture), *clipping_remarks(counts), *line_remarks(capture.mosaic), *code_remarks(codes)]
     unique = list(dict.fromkeys(remarks))
     focus_m = capture.exposure.focus_m

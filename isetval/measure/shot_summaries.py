@@ -9,15 +9,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from isetval.core.campaign import Shot
-from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, plane_black_dn, planes_of
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric
 from isetval.measure.color import chart
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.disk_summary import disk_summary
+from isetval.measure.noise.code_counts import code_counts
 from isetval.measure.patchsummary import patch_summary
 
 LEAST_SIGMA_DN = 1e-6  # of fields without noise: a sigma is positive
@@ -67,12 +66,12 @@ def plane_levels(shot: Shot, captures: Sequence[Capture]) -> Block:
     conditions = shot_conditions(shot, first.sensor)
     rows: list[Metric] = []
     for plane in planes_of(first):
-        view = plane_view(first, plane)[0]
-        n = view.size
+        codes = code_counts(first)[plane]
+        n = codes.pixels
         if not n:
             continue
-        std = float(view.std(ddof=1, dtype=np.float64)) if n > 1 else math.nan
-        mean = float(view.mean(dtype=np.float64)) - plane_black_dn(first, plane)
+        std = math.sqrt(codes.variance_dn2) if n > 1 else math.nan
+        mean = codes.mean_dn - plane_black_dn(first, plane)
         more = {"channel": plane, "family": "plane", "summary": True}
         rows.append(metric(conditions, "plane_mean", mean, std / math.sqrt(n), "DN", **more))
         if n > 1:

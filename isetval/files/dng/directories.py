@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from isetval.core.errors import InputError
-from isetval.files.picture_file import refusal
+from isetval.files.picture_file import Buffer, refusal
 
 MOST_DIRECTORIES = 64  # phones write 2 to 6, Adobe's converter up to 12
 MOST_SUB_DIRECTORIES = 32  # of one directory
@@ -27,7 +27,7 @@ class _Walk:
     """One walk over a file: where it has been, and what is left to see."""
 
     path: object
-    data: bytes
+    data: Buffer
     order: str
     seen: set[int] = field(default_factory=set)
 
@@ -62,7 +62,7 @@ class _Walk:
         return struct.unpack_from(f"{self.order}{count}I", self.data, place)
 
 
-def check_directories(path: object, data: bytes) -> None:
+def check_directories(path: object, data: Buffer) -> None:
     """Refuse a TIFF whose directories exceed the budgets; damage that only loses a tag is left to the parser.
 
     Raises
@@ -70,9 +70,9 @@ def check_directories(path: object, data: bytes) -> None:
     InputError
         For loops, too many directories, sub-directories, tags, or values of one tag.
     """
-    if data[:4] not in (b"II*\0", b"MM\0*") or len(data) < 8:
+    if bytes(data[:4]) not in (b"II*\0", b"MM\0*") or len(data) < 8:
         return
-    walk = _Walk(path, data, "<" if data[:2] == b"II" else ">")
+    walk = _Walk(path, data, "<" if bytes(data[:2]) == b"II" else ">")
     left = list(walk.longs(1, 4))
     while left:
         at = left.pop()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.core.cache import bytes_hash
 from isetval.core.capture import Capture
+from isetval.core.provenance import Provenance
 from isetval.core.sensor import Exposure, Position, Sensor, black_at, pattern_at
 from isetval.files.dng.levels import Levels, active_area, read_levels
 from isetval.files.dng.metadata import read_exposure, read_identity, read_pixel_pitch
@@ -19,7 +20,7 @@ from isetval.files.dng.optical_black import BlackChoice, OpticalBlack, choose_bl
 from isetval.files.dng.samples import check_layout, decode
 from isetval.files.dng.sensor_window import read_window
 from isetval.files.dng.tags import LINEAR_RAW, RawTags, cfa_letters, open_tags
-from isetval.files.picture_file import Remark, check_not_constant, read_bytes
+from isetval.files.picture_file import Buffer, Remark, check_not_constant, read_buffer
 from isetval.files.picture_quality import clipping, clipping_remarks, describe_capture, line_remarks
 
 
@@ -73,7 +74,7 @@ def read_dng(path: str | os.PathLike[str], *, black: BlackChoice = "auto") -> Ca
         For a file that is not a whole Bayer or one-channel DNG with black and white level, or that exceeds
         the budgets for hostile files: the message says what was found, what is needed and what to do.
     """
-    data = read_bytes(path)
+    data = read_buffer(path)
     decoded = _decode(path, data)
     levels = decoded.levels
     black_dn, used, remark = choose_black(path, levels, decoded.margin, black)
@@ -89,7 +90,6 @@ def read_dng(path: str | os.PathLike[str], *, black: BlackChoice = "auto") -> Ca
     remarks = [*remark, *decoded.remarks, *clipping_remarks(clipping(capture)), *line_remarks(decoded.mosaic)]
     provenance = {
         "file": Path(path).name,
-        "sha256": bytes_hash(data),
         "black_used": used,
         "black_dn": [list(row) for row in black_dn],
         "black_tag_dn": [list(row) for row in levels.black_dn],
@@ -97,7 +97,13 @@ def read_dng(path: str | os.PathLike[str], *, black: BlackChoice = "auto") -> Ca
         "warnings": tuple(asdict(r) for r in remarks),
         **decoded.metadata,
     }
-    return Capture(decoded.mosaic, sensor, decoded.window, decoded.exposure, provenance)
+    return Capture(decoded.mosaic, sensor, decoded.window, decoded.exposure, _with_hash(provenance, decoded.mosaic, data))
+
+
+def _with_hash(facts: dict[str, Any], mosaic: NDArray[np.uint16], data: Buffer) -> Provenance:
+    """Facts and the hash of the bytes: when it is asked for, where the mosaic holds them anyway, else at once."""
+    held = np.may_share_memory(mosaic, np.frombuffer(data, np.uint8))
+    return Provenance(facts, {"sha256": lambda: bytes_hash(data)}) if held else Provenance(facts | {"sha256": bytes_hash(data)})
 
 
 def describe_file(path: str | os.PathLike[str], *, black: BlackChoice = "auto") -> dict[str, Any]:
@@ -111,7 +117,7 @@ def describe_file(path: str | os.PathLike[str], *, black: BlackChoice = "auto") 
     return describe_capture(read_dng(path, black=black))
 
 
-def _decode(path: object, data: bytes) -> _Decoded:
+def _decode(path: object, data: Buffer) -> _Decoded:
     with open_tags(path, data) as tags:
         layout = check_layout(path, tags, data)
         area, remarks = active_area(path, tags, rows=layout.rows, cols=layout.cols)

@@ -23,7 +23,7 @@ from isetval.core.errors import InputError
 from isetval.files.dng.lossless_jpeg import Piece, read_piece, why_not_whole
 from isetval.files.dng.tags import COMPRESSION_NAMES, COMPRESSIONS, RawTags
 from isetval.files.dng.tiff_entries import ascii_text, byte_values, file_head, longs, shorts
-from isetval.files.picture_file import refusal
+from isetval.files.picture_file import Buffer, refusal
 
 MOST_PIXELS = 2**29  # 537 MP: five times the largest sensor
 MOST_PIECES = 100_000  # strips or tiles: as many as a tag may have values
@@ -32,6 +32,7 @@ PADDING_BYTES = 15  # behind a piece: writers align the next one to at most 16
 SMALLEST_FOR_LIBRAW = 22  # rows and columns; LibRaw refuses smaller frames
 LARGEST_TABLE = 65_536  # entries of a LinearizationTable: one for each 16-bit code
 NO_COMPRESSION, LOSSLESS_JPEG = 1, 7
+LEAST_SHARE = 0.9  # of a file: a frame that is nearly all of it stays where it was read, one beside large previews is copied
 RECOPY = "copy the file again from the camera"
 # file descriptor 2 belongs to the whole process: one decoder at a time may hold it
 _STDERR = threading.Lock()
@@ -63,7 +64,7 @@ class Layout:
         return full if self.tiled else min(full, self.rows - number * full)
 
 
-def check_layout(path: object, tags: RawTags, data: bytes) -> Layout:
+def check_layout(path: object, tags: RawTags, data: Buffer) -> Layout:
     """Sizes, compression and byte ranges of the raw image, or the reason why they cannot be right.
 
     Raises
@@ -150,7 +151,7 @@ def _check_plain_size(path: object, number: int, count: int, rows: int, row_byte
         raise refusal(path, found, f"{needed} bytes", "convert it again, its rows may be padded")
 
 
-def _with_jpegs(path: object, layout: Layout, data: bytes) -> Layout:
+def _with_jpegs(path: object, layout: Layout, data: Buffer) -> Layout:
     view, jpegs = memoryview(data), []
     for number, (offset, count) in enumerate(zip(layout.offsets, layout.byte_counts, strict=True)):
         jpeg = read_piece(view[offset : offset + count])
@@ -167,7 +168,7 @@ def _with_jpegs(path: object, layout: Layout, data: bytes) -> Layout:
     return replace(layout, jpegs=tuple(jpegs))
 
 
-def decode(path: object, data: bytes, tags: RawTags, layout: Layout) -> Mosaic:
+def decode(path: object, data: Buffer, tags: RawTags, layout: Layout) -> Mosaic:
     """The whole stored frame, margins included, uint16 (rows, cols), as stored or as its LinearizationTable maps it.
 
     Raises
@@ -198,14 +199,15 @@ def _linearized(path: object, tags: RawTags, frame: Mosaic) -> Mosaic:
     return np.asarray(table.astype(np.uint16)[np.minimum(frame, table.size - 1)])
 
 
-def decode_plain(data: bytes, layout: Layout, byte_order: str) -> Mosaic:
+def decode_plain(data: Buffer, layout: Layout, byte_order: str) -> Mosaic:
     """Uncompressed 16-bit samples, read as they lie in the file."""
     kind = np.dtype("u2").newbyteorder(byte_order)  # type: ignore[arg-type]
     height, width = layout.piece_shape
     ends = [offset + count for offset, count in zip(layout.offsets, layout.byte_counts, strict=True)]
     if not layout.tiled and list(layout.offsets[1:]) == ends[:-1] and sum(layout.byte_counts) == 2 * layout.rows * layout.cols:
         whole = np.frombuffer(data, kind, layout.rows * layout.cols, layout.offsets[0])
-        return whole.reshape(layout.rows, layout.cols).astype(np.uint16, copy=False)
+        useful = whole.flags.aligned and whole.nbytes >= LEAST_SHARE * len(data)
+        return whole.reshape(layout.rows, layout.cols).astype(np.uint16, copy=not useful)
     frame = np.empty((layout.rows, layout.cols), np.uint16)
     for number, offset in enumerate(layout.offsets):
         down, across = divmod(number, layout.across)
@@ -216,7 +218,7 @@ def decode_plain(data: bytes, layout: Layout, byte_order: str) -> Mosaic:
     return frame
 
 
-def decode_libraw(path: object, data: bytes, tags: RawTags, layout: Layout) -> Mosaic:
+def decode_libraw(path: object, data: Buffer, tags: RawTags, layout: Layout) -> Mosaic:
     """Packed samples and lossless JPEG by way of LibRaw; it supplies nothing else.
 
     The frame is decoded with whole tiles, so that the samples beyond the picture's rim can be counted too.
@@ -256,7 +258,7 @@ def _decoded_shape(layout: Layout) -> tuple[int, int]:
     return -(-layout.rows // height) * height, _decoded_across(layout) * width
 
 
-def _plain_dng(data: bytes, layout: Layout, version: bytes) -> bytes:
+def _plain_dng(data: Buffer, layout: Layout, version: bytes) -> bytes:
     """A DNG of the checked pieces and nothing else; strips of lossless JPEG become tiles, which LibRaw takes one by one."""
     rows, cols = _decoded_shape(layout)
     pieces = [data[o : o + c] for o, c in zip(layout.offsets, layout.byte_counts, strict=True)]

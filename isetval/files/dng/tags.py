@@ -22,7 +22,7 @@ import tifffile
 from isetval.core.errors import InputError
 from isetval.core.sensor import BAYER_PATTERNS
 from isetval.files.dng.directories import check_directories
-from isetval.files.picture_file import refusal, what_is
+from isetval.files.picture_file import Buffer, refusal, what_is
 
 # tifffile logs what it also raises; while a file is open here, and only then, it keeps that to itself
 _QUIET: ContextVar[bool] = ContextVar("isetval_dng_quiet", default=False)
@@ -130,8 +130,34 @@ def _fraction(numerator: int, denominator: int) -> Fraction | None:
     return Fraction(int(numerator), int(denominator)) if denominator else None
 
 
+class _InMemory(io.RawIOBase):
+    """A file in memory without a copy of it."""
+
+    def __init__(self, data: Buffer) -> None:
+        self._data, self._at = memoryview(data), 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: len(self._data)}[whence]
+        if base + offset < 0:
+            raise ValueError(f"place {base + offset} lies before the file")
+        self._at = base + offset
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        piece = self._data[self._at : self._at + len(buffer)]
+        buffer[: len(piece)] = piece
+        self._at += len(piece)
+        return len(piece)
+
+
 @contextmanager
-def open_tags(path: object, data: bytes) -> Iterator[RawTags]:
+def open_tags(path: object, data: Buffer) -> Iterator[RawTags]:
     """The tags of the one Bayer (or monochrome) raw image of a DNG held in memory.
 
     Raises
@@ -142,7 +168,7 @@ def open_tags(path: object, data: bytes) -> Iterator[RawTags]:
     with quiet_parser():
         check_directories(path, data)
         try:
-            tiff = tifffile.TiffFile(io.BytesIO(data))
+            tiff = tifffile.TiffFile(io.BufferedReader(_InMemory(data)))
             first = tiff.pages[0]
             sub_images = list(getattr(first, "pages", None) or [])
             exif = first.tags.valueof(34665) or {}
@@ -174,12 +200,12 @@ def quiet_parser() -> Iterator[None]:
         _QUIET.reset(token)
 
 
-def _tiff_words(data: bytes) -> str:
+def _tiff_words(data: Buffer) -> str:
     words = what_is(data)
     return words if words != "a TIFF" else "a plain TIFF"
 
 
-def _not_readable(path: object, data: bytes, error: Exception) -> InputError:
+def _not_readable(path: object, data: Buffer, error: Exception) -> InputError:
     words = what_is(data)
     if words in ("a TIFF", "a BigTIFF"):
         return refusal(

@@ -13,6 +13,7 @@ from isetval.core.capture import Capture, plane_view
 from isetval.core.metric import Block, Differences, Metric
 from isetval.core.quantity import Quantity
 from isetval.measure.conditions import metric, shot_conditions, window_label
+from isetval.measure.noise.code_counts import code_counts
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics, frame_drift, tilt_power
 
 ROLES = ("dark", "flat")
@@ -110,8 +111,8 @@ def _drift(conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metr
 def _clipped(captures: Sequence[Capture], plane: str) -> float:
     """Share of the plane's pixels at white or at code 0."""
     white = captures[0].sensor.white_dn
-    views = [plane_view(capture, plane)[0] for capture in captures]
-    return float(np.mean([np.mean((view >= white) | (view == 0)) for view in views]))
+    each = [code_counts(capture)[plane] for capture in captures]
+    return float(np.mean([(codes.at_zero + codes.from_code(white)) / codes.pixels for codes in each]))
 
 
 def _column(entries: list[tuple[int, float]], n: int) -> Any:

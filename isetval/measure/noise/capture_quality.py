@@ -118,9 +118,9 @@ def _single(capture: Capture, roi: RoiLike | None, where: str) -> list[Finding]:
         if value >= capture.sensor.white_dn:
             return [Finding("clipped_at_white", where, 1.0, 1e-3, "shorten the exposure")]
         return [Finding("all_equal", where, value, math.nan, "the file holds no picture; read or shoot it again")]
+    of_codes = code_statistics([capture], roi)
     for plane, view in planes.items():
-        place = f"{where}, plane {plane}"
-        codes = code_statistics([view], capture.sensor.white_dn)
+        place, codes = f"{where}, plane {plane}", of_codes[plane]
         high, low = codes["clipped_high_fraction"].value, codes["clipped_low_fraction"].value
         if high > 1e-3:
             out.append(

@@ -43,14 +43,11 @@ class Moments:
         Unbiased temporal variance of each pixel, DN^2, without what whole rows and frames do.
     row_means : float64 array (frames, rows)
         Mean of every row of every frame, DN above black.
-    residual : array (frames, rows, cols) or None
-        e of the module's model, when asked for.
     """
 
     average: Values
     pixel_variance: Values
     row_means: Float
-    residual: Values | None
 
     @property
     def frames(self) -> int:
@@ -75,9 +72,14 @@ class Moments:
         if self.frames < 2:
             return Quantity(float("nan"), float("nan"), "DN^2")
         mean = float(pixels.mean(dtype=np.float64))
-        flat = pixels.reshape(-1)
-        spread = max(float(flat @ flat) / pixels.size - mean**2, 0.0)
+        squares = np.einsum("ij,ij->i", pixels, pixels)
+        spread = max(float(squares.sum(dtype=np.float64)) / pixels.size - mean**2, 0.0)
         return Quantity(mean, float(np.sqrt(spread / pixels.size)), "DN^2")
+
+    @cached_property
+    def highest_variance(self) -> float:
+        """Largest temporal variance of a pixel, DN^2."""
+        return float(self.pixel_variance.max())
 
     @cached_property
     def bulk_variance(self) -> float:
@@ -85,10 +87,9 @@ class Moments:
         if self.frames < 2:
             return float("nan")
         pixels, center = self.pixel_variance, self.temporal.value
-        highest = float(pixels.max())
         for _ in range(3):
             limit = max(40 * center, 1.0)
-            if highest <= limit:
+            if self.highest_variance <= limit:
                 break
             kept = pixels[pixels <= limit]
             center = float(kept.mean(dtype=np.float64)) if kept.size else 0.0
@@ -113,7 +114,6 @@ def frame_moments(
     views: Sequence[Values],
     black_dn: float = 0.0,
     *,
-    keep: bool = False,
     dtype: Any = None,
     bad: NDArray[np.bool_] | None = None,
 ) -> Moments:
@@ -125,8 +125,6 @@ def frame_moments(
         Raw DN of one plane, at least one frame.
     black_dn : float
         Subtracted first.
-    keep : bool
-        Keep the residuals (needed for neighbor covariances).
     bad : bool array (rows, cols), optional
         Pixels to leave out: they take their row's mean and have no variance.
     dtype : numpy dtype, optional
@@ -137,7 +135,6 @@ def frame_moments(
     average = np.empty((rows, cols), kind)
     variance = np.zeros((rows, cols), kind)
     row_means = np.empty((frames, rows))
-    residual = np.empty((frames, rows, cols), kind) if keep else None
     step = max(1, min(rows, BLOCK_PIXELS // max(cols, 1)))
     profile: Values | None = None
     for top in range(0, rows, step):
@@ -157,13 +154,9 @@ def frame_moments(
             drift = (row_means[:, part] - row_means[:, part].mean(axis=0)).astype(kind)
             block -= drift[:, :, None] * profile
             variance[part] = np.einsum("fij,fij->ij", block, block)
-        else:
-            block -= mean
-        if residual is not None:
-            residual[:, part] = block
     if frames > 1:
         variance *= cols / max(cols - 1, 1) / (frames - 1)
-    return Moments(average, variance, row_means, residual)
+    return Moments(average, variance, row_means)
 
 
 def central(view: Values) -> Values:
@@ -195,57 +188,3 @@ def column_profile(columns: Values, noise: float) -> Values:
         return np.ones_like(columns)
     profile = 1 + weight * (columns / level - 1)
     return np.asarray(profile / profile.mean())
-
-
-def neighbor_covariances(planes: Mapping[str, tuple[Moments, tuple[int, int]]], region: RoiLike) -> dict[str, Quantity]:
-    """Covariance of the temporal noise of neighboring mosaic pixels, DN^2.
-
-    Brighter-fatter charge repulsion, read-out crosstalk and noise reduction in the "raw" data correlate
-    *neighbors*, which on a Bayer sensor have another color; a covariance inside a plane would miss them.
-    Horizontal (lag (0, 1)) and vertical (lag (1, 0)) pairs, apart for each pair of planes.
-
-    Parameters
-    ----------
-    planes : mapping
-        Plane -> moments with their residuals, and the mosaic pixel (row, col) of the plane's first value.
-    region : (row0, row1, col0, col1)
-        Mosaic rows and columns that the planes cover.
-    """
-    first = next(iter(planes.values()))[0]
-    assert first.residual is not None
-    frames = first.frames
-    mosaic = np.zeros((frames, region[1] - region[0], region[3] - region[2]), first.residual.dtype)
-    step = 1 if "MONO" in planes else 2
-    owner: dict[tuple[int, int], str] = {}
-    for plane, (moments, (row, col)) in planes.items():
-        r, c = row - region[0], col - region[2]
-        mosaic[:, r::step, c::step] = moments.residual
-        owner[(r, c)] = plane
-    quantities: dict[str, Quantity] = {}
-    for lag, name in (((0, 1), "h"), ((1, 0), "v")):
-        for pair, (value, pixels) in _pair_products(mosaic, lag, owner, step).items():
-            a, b = (planes[p][0] for p in pair)
-            value /= (frames - 1) * pixels
-            own = a.temporal.value / a.shape[1] if step == 1 and name == "h" else 0.0
-            sigma = math.sqrt(a.temporal.value * b.temporal.value / (pixels * (frames - 1)))
-            label = "" if step == 1 else f"_{pair[0].lower()}_{pair[1].lower()}"
-            quantities[f"covariance_{name}{label}_dn2"] = Quantity(float(value + own), sigma, "DN^2")
-    return quantities
-
-
-def _pair_products(
-    mosaic: Values, lag: tuple[int, int], owner: Mapping[tuple[int, int], str], step: int
-) -> dict[Any, tuple[float, int]]:
-    """Sum of products of neighbors and number of pairs, for each unordered pair of planes."""
-    _, rows, cols = mosaic.shape
-    left = mosaic[:, : rows - lag[0], : cols - lag[1]]
-    right = mosaic[:, lag[0] :, lag[1] :]
-    product = np.einsum("fij,fij->ij", left, right)
-    out: dict[Any, tuple[float, int]] = {}
-    for (row, col), plane in owner.items():
-        other = owner[((row + lag[0]) % step, (col + lag[1]) % step)]
-        pair = tuple(sorted((plane, other), key=("R", "Gr", "Gb", "B", "MONO").index))
-        part = product[row::step, col::step]
-        total, count = out.get(pair, (0.0, 0))
-        out[pair] = (total + float(part.sum(dtype=np.float64)), count + part.size)
-    return out

@@ -18,7 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.capture import Capture
 from isetval.core.quantity import Quantity
+from isetval.core.sensor import RoiLike
+from isetval.measure.noise.code_counts import code_counts
 
 Float = NDArray[np.float64]
 MIN_EXPECTED = 10.0  # a code expected ten times is missing by chance once in e^10 = 22 000
@@ -221,24 +224,23 @@ def _line_search(
     return theta, 0.0, best
 
 
-def code_histogram(views: Sequence[NDArray[Any]]) -> tuple[NDArray[np.int64], int]:
-    """Counts of consecutive codes and the first code."""
-    low = min(int(view.min()) for view in views)
-    high = max(int(view.max()) for view in views)
-    counts = np.zeros(high - low + 1, dtype=np.int64)
-    for view in views:
-        counts += np.bincount((view - view.dtype.type(low)).ravel(), minlength=counts.size)
-    return counts, low
-
-
-def code_statistics(views: Sequence[NDArray[Any]], white_dn: float) -> dict[str, Quantity]:
-    """Clipped fractions, share of missing codes and parity imbalance of frames of one plane.
+def code_statistics(captures: Sequence[Capture], roi: RoiLike | None = None) -> dict[str, dict[str, Quantity]]:
+    """Plane -> clipped fractions, share of missing codes and parity imbalance of its frames.
 
     A code is *missing* when it never occurs although its four neighbors lead to expect ten counts or
     more; only the middle 90 % of the histogram is judged.  The parity imbalance is (even - odd) / all.
     Both are nan when fewer than five codes are in use.
     """
-    counts, low = code_histogram(views)
+    each = [code_counts(capture, roi) for capture in captures]
+    return {plane: _of_counts([found[plane].counts for found in each], captures[0].sensor.white_dn) for plane in each[0]}
+
+
+def _of_counts(each: Sequence[NDArray[np.int64]], white_dn: float) -> dict[str, Quantity]:
+    counts = np.zeros(max(c.size for c in each), np.int64)
+    for own in each:
+        counts[: own.size] += own
+    low = int(np.flatnonzero(counts)[0])
+    counts = np.trim_zeros(counts)
     total = int(counts.sum())
     at_bottom = int(counts[: max(1 - low, 0)].sum())
     at_top = int(counts[max(math.ceil(white_dn) - low, 0) :].sum())

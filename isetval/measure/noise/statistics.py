@@ -18,7 +18,8 @@ from isetval.core.quantity import Quantity
 from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.noise.fixed_pattern import NO_ROW_NOISE, FixedPattern, decompose
-from isetval.measure.noise.moments import Moments, frame_moments, neighbor_covariances
+from isetval.measure.noise.frame_pass import FramePass, frame_pass
+from isetval.measure.noise.moments import Moments, frame_moments
 from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import check_frames, check_region
 
@@ -80,37 +81,33 @@ def dark_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, 
     return _statistics(captures, roi, degree, relative=False)
 
 
-def plane_moments(captures: Sequence[Capture], plane: str, roi: RoiLike | None = None, *, keep: bool = False) -> Moments:
-    """Moments of one color plane of same-sized captures, DN above their black level."""
-    views = [plane_view(capture, plane, roi)[0] for capture in captures]
-    return frame_moments(views, plane_black_dn(captures[0], plane), keep=keep)
-
-
 @one_blas_thread()
 def _statistics(captures: Sequence[Capture], roi: RoiLike | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
     check_frames(captures)
     check_region(captures[0], roi)
+    several = len(captures) > 1
+    found = frame_pass(captures, roi) if several else _of_one_frame(captures[0], roi)
+    codes = code_statistics(captures, roi)
     out: dict[str, PlaneStatistics] = {}
-    residuals: dict[str, tuple[Moments, tuple[int, int]]] = {}
-    for plane in planes_of(captures[0]):
-        moments = plane_moments(captures, plane, roi, keep=len(captures) > 1)
-        _, first, _ = plane_view(captures[0], plane, roi)
-        residuals[plane] = (moments, first)
-        codes = code_statistics([plane_view(c, plane, roi)[0] for c in captures], captures[0].sensor.white_dn)
+    for plane, moments in found.planes.items():
         clean = _without_noisy(captures, plane, roi, moments)
-        out[plane] = _plane_statistics(plane, (moments, clean), codes, degree, relative=relative)
-    region = check_roi(captures[0], roi)
-    if len(captures) > 1:
-        out["mosaic"] = _mosaic_statistics(neighbor_covariances(residuals, region), len(captures), region)
+        out[plane] = _plane_statistics(plane, (moments, clean), codes[plane], degree, relative=relative)
+    if several:
+        out["mosaic"] = _mosaic_statistics(dict(found.covariances), len(captures), check_roi(captures[0], roi))
     return out
+
+
+def _of_one_frame(capture: Capture, roi: RoiLike | None) -> FramePass:
+    views = {plane: plane_view(capture, plane, roi)[0] for plane in planes_of(capture)}
+    return FramePass({plane: frame_moments([view], plane_black_dn(capture, plane)) for plane, view in views.items()}, {})
 
 
 def _without_noisy(captures: Sequence[Capture], plane: str, roi: RoiLike | None, moments: Moments) -> Moments:
     """The same moments with noisy pixels left out, so that they do not spoil their row's mean."""
     if moments.frames < 2:
         return moments
-    bad = moments.pixel_variance > noisy_limit(moments)
-    if not 0 < bad.sum() < 0.05 * bad.size:
+    bad = noisy_pixels(moments)
+    if bad is None or bad.sum() >= 0.05 * bad.size:
         return moments
     views = [plane_view(capture, plane, roi)[0] for capture in captures]
     return frame_moments(views, plane_black_dn(captures[0], plane), bad=bad)
@@ -218,10 +215,10 @@ def _gradients(
     ``noise`` of the mean image and fixed ``pattern`` are variances of pixels, rows and columns, DN^2: a row's
     own noise tilts the profile of row means as a pixel's does, but does not average over the row.
     """
-    average = np.asarray(moments.average, dtype=np.float64)
+    average = moments.average
     out = []
     for axis in (0, 1):
-        profile, other = average.mean(axis=1 - axis), average.shape[1 - axis]
+        profile, other = average.mean(axis=1 - axis, dtype=np.float64), average.shape[1 - axis]
         x, power = _centered(profile.size), tilt_power(profile.size)
         own, fixed = (math.sqrt(max(0.0, part[0] / other + part[1 + axis]) / power) for part in (noise, pattern))
         out.append(Quantity(float(x @ profile) / power, own, "DN", fixed))
@@ -256,9 +253,15 @@ def noisy_fraction(moments: Moments) -> Quantity:
     """Share of pixels whose temporal variance is far above the plane's (random telegraph noise, blinking)."""
     if moments.frames < 2:
         return Quantity(NAN, NAN)
-    noisy = moments.pixel_variance > noisy_limit(moments)
-    count = int(noisy.sum())
-    return Quantity(count / noisy.size, math.sqrt(count + 1) / noisy.size)
+    noisy = noisy_pixels(moments)
+    count, size = 0 if noisy is None else int(noisy.sum()), moments.pixel_variance.size
+    return Quantity(count / size, math.sqrt(count + 1) / size)
+
+
+def noisy_pixels(moments: Moments) -> NDArray[np.bool_] | None:
+    """Where the temporal variance is far above the plane's; None where it is so nowhere."""
+    limit = noisy_limit(moments)
+    return moments.pixel_variance > limit if moments.highest_variance > limit else None
 
 
 def noisy_limit(moments: Moments) -> float:
@@ -273,7 +276,10 @@ def trimmed_temporal(moments: Moments, clean: Moments) -> Quantity:
     """Temporal variance without the noisy pixels, DN^2 (the cut takes less than 1e-6 of normal noise)."""
     if moments.frames < 2:
         return Quantity(NAN, NAN, "DN^2")
-    pixels = clean.pixel_variance[moments.pixel_variance <= noisy_limit(moments)]
+    noisy = noisy_pixels(moments)
+    if noisy is None and clean is moments:
+        return moments.temporal
+    pixels = clean.pixel_variance if noisy is None else clean.pixel_variance[~noisy]
     spread = float(np.var(pixels, dtype=np.float64))
     return Quantity(float(pixels.mean(dtype=np.float64)), math.sqrt(spread / pixels.size), "DN^2")
 

@@ -21,7 +21,6 @@ from isetval.measure.noise.levels import Level, LevelSeries, measure_levels, prn
 from isetval.measure.noise.line_moments import plane_line_moments
 from isetval.measure.noise.linearity import LEAST_LEVELS, MeanResponse, mean_response, nonlinearity, quantum_efficiency
 from isetval.measure.noise.lyu2022 import single_level_gain
-from isetval.measure.noise.moments import frame_moments, neighbor_covariances
 from isetval.measure.noise.setups import Setups, sort_into_setups
 from isetval.measure.noise.transfer_result import NAN, PhotonTransfer, PlaneTransfer
 
@@ -346,12 +345,7 @@ def _four_neighbors(of: _Series, level: Level, plane: str) -> Quantity:
 def _mosaic_covariances(captures: Sequence[Capture], roi: RoiLike | None) -> dict[str, Quantity]:
     row0, row1, col0, col1 = check_roi(captures[0], roi)
     region = (row0, min(row1, row0 + COVARIANCE_SIDE), col0, min(col1, col0 + COVARIANCE_SIDE))
-    planes = {}
-    for name in planes_of(captures[0]):
-        views = [plane_view(c, name, region)[0] for c in captures]
-        _, first, _ = plane_view(captures[0], name, region)
-        planes[name] = (frame_moments(views, plane_black_dn(captures[0], name), keep=True, dtype=np.float32), first)
-    return neighbor_covariances(planes, region)
+    return dict(frame_pass(captures, region, dtype=np.float32).covariances)
 
 
 def _one_level_without_dark(series: LevelSeries, dark: DarkLevel | None, plane: str, flags: tuple[str, ...]) -> PlaneTransfer:
