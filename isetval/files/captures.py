@@ -13,7 +13,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 
-HELD_PIXELS = 400_000_000  # 800 MB of frames: what a shot may keep in memory; longer series are decoded frame by frame
+HELD_PIXELS = 160_000_000  # 320 MB: a worker with its maps and libraries stays below 600; longer ones are decoded frame by frame
 Reader = Callable[[str, str], Capture]
 """(shot name, file name) -> the capture."""
 

@@ -138,7 +138,7 @@ def _row_means(block: Values, frame: Values, part: slice, step: int) -> Float:
     for left in range(0, cols, wide):
         own = block[:, left : left + wide]
         sums += own @ masks[: own.shape[1]]
-    return sums / np.array([len(range(col, cols, step)) for col in range(step)])
+    return np.asarray(sums / [len(range(col, cols, step)) for col in range(step)])
 
 
 def _without_drift(block: Values, means: Float, profiles: Values, step: int) -> None:

@@ -12,8 +12,7 @@ scaling by row means rather than subtracting frame means is what makes the estim
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.quantity import Quantity
-from isetval.core.sensor import RoiLike
 
 Float = NDArray[np.float64]
 Values = NDArray[Any]

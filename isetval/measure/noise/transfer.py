@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
+from isetval.core.capture import Capture, check_roi, planes_of
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.quantity import Quantity, root
 from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
 from isetval.measure.noise.curve import Anchor, CurveFit, Points, bend_coefficient, fit_curve
 from isetval.measure.noise.dark_level import DarkLevel, dark_level
+from isetval.measure.noise.frame_pass import frame_pass
 from isetval.measure.noise.level_selection import Settled, cut_series, left_out_level, settle
 from isetval.measure.noise.levels import Level, LevelSeries, measure_levels, prnu_percent, with_pattern
 from isetval.measure.noise.line_moments import plane_line_moments
