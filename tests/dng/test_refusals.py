@@ -132,11 +132,12 @@ def test_device():
     refused("/dev/zero", "a device or a pipe")
 
 
-def test_small_packed_frame(make_dng):
-    """LibRaw refuses frames under 22 x 22; the plain path does not need it."""
+def test_small_coded_frame(make_dng):
+    """LibRaw refuses frames under 22 x 22; uncompressed and packed samples do not need it."""
     mosaic = np.arange(400).reshape(20, 20).astype(np.uint16) % 256
-    eight = mosaic.astype(np.uint8).tobytes()
-    refused(make_dng(mosaic, pieces=[eight], t258=(3, [8]), t50717=(4, [255])), "at least 22 x 22")
+    refused(make_dng(mosaic, pieces=[lossless_jpeg(mosaic)], t259=(3, [7])), "at least 22 x 22")
+    eight = make_dng(mosaic, pieces=[mosaic.astype(np.uint8).tobytes()], t258=(3, [8]), t50717=(4, [255]))
+    np.testing.assert_array_equal(read_dng(eight).mosaic, mosaic)
     np.testing.assert_array_equal(read_dng(make_dng(mosaic)).mosaic, mosaic)
 
 

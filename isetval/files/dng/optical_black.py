@@ -73,20 +73,32 @@ def optical_black(frame: NDArray[np.uint16], active: Area, *, black_dn: Black, w
     if area is None:
         return None
     parts = _places(frame, area, active)
-    noise_dn = float(np.mean([NORMAL_MAD * np.median(np.abs(p - np.median(p))) for p in parts]))
+    middles = [float(np.median(p)) for p in parts]
+    noise_dn = float(np.mean([NORMAL_MAD * np.median(np.abs(p - m)) for p, m in zip(parts, middles, strict=True)]))
     # hot pixels are not the black level: pulled in to six sigma
-    lines = [np.clip(p, np.median(p) - 6 * noise_dn, np.median(p) + 6 * noise_dn).mean(axis=1) for p in parts]
+    held = [np.clip(p, m - 6 * noise_dn, m + 6 * noise_dn) for p, m in zip(parts, middles, strict=True)]
+    lines = [p.mean(axis=1) for p in held]
     means = np.array([line.mean() for line in lines])
     errors = np.array([_standard_error(line) for line in lines])
     # the two places of a row share its banding, so rows are averaged before their scatter is taken
     of_all = float(np.hypot(_standard_error((lines[0] + lines[1]) / 2), _standard_error((lines[2] + lines[3]) / 2)) / 2)
     excess = means - np.ravel(black_dn)
     differs = abs(excess.mean()) > DIFFERS_SIGMAS * of_all or bool(np.any(np.abs(excess) > DIFFERS_SIGMAS_OF_FOUR * errors))
-    drift_dn = float(np.mean([_drift(p, noise_dn) for p in parts]))
-    doubts = _doubts(parts, noise_dn, float(excess.mean()), white_dn - float(np.mean(black_dn)))
-    pixels = sum(p.size for p in parts)
+    drifts = [_drift(p) for p in held]
+    centered = [np.clip(p - m, -4 * noise_dn, 4 * noise_dn) for p, m in zip(parts, middles, strict=True)]
+    zero = max(float(np.mean(p == 0)) for p in parts)
+    doubts = _doubts(centered, drifts, zero, noise_dn, (float(excess.mean()), white_dn - float(np.mean(black_dn))))
     return OpticalBlack(
-        _nest(means), _nest(errors), noise_dn, pixels, area, float(excess.mean()), of_all, bool(differs), drift_dn, tuple(doubts)
+        _nest(means),
+        _nest(errors),
+        noise_dn,
+        sum(p.size for p in parts),
+        area,
+        float(excess.mean()),
+        of_all,
+        bool(differs),
+        float(np.mean(drifts)),
+        tuple(doubts),
     )
 
 
@@ -152,10 +164,9 @@ def _places(frame: NDArray[np.uint16], area: Area, active: Area) -> list[NDArray
     ]
 
 
-def _drift(part: NDArray[np.float64], noise_dn: float) -> float:
-    """Mean of the right half minus that of the left one in DN, hot pixels pulled in."""
-    held = np.clip(part, np.median(part) - 6 * noise_dn, np.median(part) + 6 * noise_dn)
-    middle = part.shape[1] // 2
+def _drift(held: NDArray[np.float64]) -> float:
+    """Mean of the right half minus that of the left one in DN; hot pixels have been pulled in."""
+    middle = held.shape[1] // 2
     return float(held[:, middle:].mean() - held[:, :middle].mean())
 
 
@@ -193,9 +204,13 @@ def _trim(area: Area, light_first: bool, *, across: bool = False) -> Area | None
     return (start, stop, first, last) if across else (first, last, start, stop)
 
 
-def _doubts(parts: list[NDArray[np.float64]], noise_dn: float, difference_dn: float, span_dn: float) -> list[str]:
+def _doubts(
+    centered: list[NDArray[np.float64]], drifts: list[float], zero: float, noise_dn: float, level: tuple[float, float]
+) -> list[str]:
+    """Why a margin is no optical black; ``level`` is its distance from the tag and the range of the codes, DN."""
+    difference_dn, span_dn = level
     doubts = []
-    pixels = min(p.size for p in parts)
+    pixels = min(p.size for p in centered)
     if pixels < FEWEST_PIXELS:
         return [f"it has only {pixels} pixels a color plane, {FEWEST_PIXELS} are needed"]
     if noise_dn == 0:
@@ -204,14 +219,12 @@ def _doubts(parts: list[NDArray[np.float64]], noise_dn: float, difference_dn: fl
         doubts.append(f"it lies {difference_dn:+.1f} DN from the tag, more than {LARGEST_SHARE_OF_RANGE:.0%} of the range")
     if noise_dn > LARGEST_SHARE_OF_RANGE * span_dn:
         doubts.append(f"its noise of {noise_dn:.1f} DN is more than {LARGEST_SHARE_OF_RANGE:.0%} of the range")
-    zero = max(float(np.mean(p == 0)) for p in parts)
     if zero > 0.001:
         doubts.append(f"{zero:.1%} of it is clipped at 0")
-    clipped = [np.clip(p - np.median(p), -4 * noise_dn, 4 * noise_dn) for p in parts]
-    correlation = max(_neighbor_correlation(p) for p in clipped)
+    correlation = max(_neighbor_correlation(p) for p in centered)
     if correlation > LARGEST_CORRELATION:
         doubts.append(f"neighbors correlate by {correlation:.2f}, so it holds a picture and not noise")
-    drift = max(abs(_drift(p, noise_dn)) for p in parts)
+    drift = max(map(abs, drifts))
     if drift > LARGEST_DRIFT_SIGMAS * noise_dn:
         doubts.append(f"its mean drifts by {drift:.1f} DN from one side to the other")
     return doubts

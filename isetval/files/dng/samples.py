@@ -1,4 +1,4 @@
-"""Samples of a raw image: does the file hold what its tags promise, then a plain copy, or LibRaw where they are coded.
+"""Samples of a raw image: does the file hold what its tags promise, then the samples themselves, or LibRaw where they are coded.
 
 LibRaw gets a small DNG of checked tags and pieces, never the file itself: it then decodes the image that was
 checked, allocates what was counted, and sees no tag of a hostile file.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import sys
 import threading
@@ -32,6 +33,7 @@ PADDING_BYTES = 15  # behind a piece: writers align the next one to at most 16
 SMALLEST_FOR_LIBRAW = 22  # rows and columns; LibRaw refuses smaller frames
 LARGEST_TABLE = 65_536  # entries of a LinearizationTable: one for each 16-bit code
 NO_COMPRESSION, LOSSLESS_JPEG = 1, 7
+UNPACKED_BYTES = 1 << 16  # at once: they and their samples stay in the second-level cache
 LEAST_SHARE = 0.9  # of a file: a frame that is nearly all of it stays where it was read, one beside large previews is copied
 RECOPY = "copy the file again from the camera"
 # file descriptor 2 belongs to the whole process: one decoder at a time may hold it
@@ -176,8 +178,12 @@ def decode(path: object, data: Buffer, tags: RawTags, layout: Layout) -> Mosaic:
     InputError
         If the samples cannot be decoded, come back in another shape, or cannot be what the pieces hold.
     """
-    plain = layout.compression == NO_COMPRESSION and layout.bits == 16
-    frame = decode_plain(data, layout, str(tags.raw.parent.byteorder)) if plain else decode_libraw(path, data, tags, layout)
+    if layout.compression != NO_COMPRESSION:
+        frame = decode_libraw(path, data, tags, layout)
+    elif layout.bits == 16:
+        frame = decode_plain(data, layout, str(tags.raw.parent.byteorder))
+    else:
+        frame = decode_packed(data, layout)
     if frame.shape != (layout.rows, layout.cols):
         raise refusal(
             path,
@@ -218,15 +224,53 @@ def decode_plain(data: Buffer, layout: Layout, byte_order: str) -> Mosaic:
     return frame
 
 
+def decode_packed(data: Buffer, layout: Layout) -> Mosaic:
+    """Uncompressed samples of 8 to 15 bits, packed from the most significant bit, rows padded to whole bytes (TIFF 6.0)."""
+    frame = np.empty((layout.rows, layout.cols), np.uint16)
+    height, width = layout.piece_shape
+    row_bytes = -(-width * layout.bits // 8)
+    some = max(1, UNPACKED_BYTES // row_bytes)
+    for number, offset in enumerate(layout.offsets):
+        down, across = divmod(number, layout.across)
+        tall = layout.piece_rows(number)
+        piece = np.frombuffer(data, np.uint8, tall * row_bytes, offset).reshape(tall, row_bytes)
+        target = frame[down * height : down * height + tall, across * width : (across + 1) * width]
+        for top in range(0, target.shape[0], some):
+            own = target[top : top + some]
+            own[:] = unpacked(piece[top : top + len(own)], layout.bits, width)[:, : target.shape[1]]
+    return frame
+
+
+def unpacked(rows: NDArray[np.uint8], bits: int, width: int) -> Mosaic:
+    """Samples (rows, width) of ``bits`` bits from bytes (rows, bytes), the most significant bit first."""
+    group = 8 // math.gcd(bits, 8)  # samples that begin and end with a byte
+    groups = -(-width // group)
+    size = group * bits // 8
+    if rows.shape[1] < groups * size:
+        rows = np.pad(rows, ((0, 0), (0, groups * size - rows.shape[1])))
+    out = np.empty((len(rows), groups, group), np.uint16)
+    for place in range(group):
+        first, left = divmod(place * bits, 8)
+        value = rows[:, first : groups * size : size] & np.uint16(0xFF >> left)
+        have = 8 - left
+        for following in range(first + 1, (place * bits + bits - 1) // 8 + 1):
+            taken = min(8, bits - have)
+            value <<= taken
+            value |= rows[:, following : groups * size : size] >> np.uint8(8 - taken)
+            have += taken
+        out[:, :, place] = value >> np.uint16(have - bits)
+    return out.reshape(len(rows), -1)[:, :width]
+
+
 def decode_libraw(path: object, data: Buffer, tags: RawTags, layout: Layout) -> Mosaic:
-    """Packed samples and lossless JPEG by way of LibRaw; it supplies nothing else.
+    """Lossless JPEG by way of LibRaw; it supplies nothing else.
 
     The frame is decoded with whole tiles, so that the samples beyond the picture's rim can be counted too.
     """
     if min(layout.rows, layout.cols) < SMALLEST_FOR_LIBRAW:
         raise refusal(
             path,
-            f"a compressed or packed raw image of {layout.rows} x {layout.cols} pixels",
+            f"a compressed raw image of {layout.rows} x {layout.cols} pixels",
             f"at least {SMALLEST_FOR_LIBRAW} x {SMALLEST_FOR_LIBRAW} for its decoder",
             "store it with uncompressed 16-bit samples",
         )
@@ -262,9 +306,6 @@ def _plain_dng(data: Buffer, layout: Layout, version: bytes) -> bytes:
     """A DNG of the checked pieces and nothing else; strips of lossless JPEG become tiles, which LibRaw takes one by one."""
     rows, cols = _decoded_shape(layout)
     pieces = [data[o : o + c] for o, c in zip(layout.offsets, layout.byte_counts, strict=True)]
-    if layout.compression == NO_COMPRESSION:
-        row_bytes = -(-layout.piece_shape[1] * layout.bits // 8)
-        pieces = [piece[: layout.piece_rows(n) * row_bytes] for n, piece in enumerate(pieces)]
     if _decoded_across(layout) > layout.across:
         pieces = [piece for n, piece in enumerate(pieces) for _ in range(2 if (n + 1) % layout.across == 0 else 1)]
     tiled = layout.tiled or (layout.compression == LOSSLESS_JPEG and len(pieces) > 1)
