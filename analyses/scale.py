@@ -17,7 +17,6 @@ from isetval.app.plots.panels import figure_bytes
 
 REPORTS = Path(__file__).resolve().parents[1] / "reports"
 CAPTURES, MACHINES, WORKERS = 1_000_000, 100, 8
-CAPTURE_MB = 24.4  # 12 MP, uncompressed
 NETWORK_MB_S = 110.0  # of one machine: a gigabit line, stated and not measured
 TASK_FILES, TASK_MS = 32, 3.5  # of the engine; a task's overhead in a dask scheduler (guide, two workers on loopback)
 ROWS = 20  # of a capture: a flat by itself gives 8, a chart some hundred
@@ -26,17 +25,17 @@ ROWS = 20  # of a capture: a flat by itself gives 8, a chart some hundred
 measured = json.loads((REPORTS / "scale.json").read_text())
 faults = REPORTS / "faults.json"
 survived = json.loads(faults.read_text()) if faults.is_file() else {"survived": {}, "failed": [], "rounds": 0, "files": 0}
-per_file = measured["measuring_ms_cpu_wall_per_file"]
+per_file, megabytes = measured["measuring_ms_cpu_wall_per_file"], measured["capture_mb"]
 
 
 def hours(seconds):
     return f"{seconds / 3600:.2g} h" if seconds >= 3600 else f"{seconds / 60:.2g} min"
 
 
-def estimate(name, cpu_ms):
+def estimate(name, cpu_ms, capture_mb):
     """Wall time of a way to measure, and what bounds it."""
     cpu_s = CAPTURES * cpu_ms / 1e3 / (MACHINES * WORKERS)
-    network_s = CAPTURES * CAPTURE_MB / (MACHINES * NETWORK_MB_S)
+    network_s = CAPTURES * capture_mb / (MACHINES * NETWORK_MB_S)
     scheduler_s = CAPTURES / TASK_FILES * TASK_MS / 1e3
     bound = max((cpu_s, "processors"), (network_s, "network"), (scheduler_s, "scheduler"))
     return {
@@ -50,7 +49,8 @@ def estimate(name, cpu_ms):
     }
 
 
-estimates = [estimate(name, cpu) for name, (cpu, _) in per_file.items()]
+ways = [(kind, name, times[0]) for kind, own in per_file.items() for name, times in own.items()]
+estimates = [estimate(f"{name}, {kind}", cpu_ms, megabytes[kind]) for kind, name, cpu_ms in ways]
 archive = measured["archive_cpu"]
 sizes = [
     ("store, all records", f"{measured['store_bytes_per_file'] * CAPTURES / 1e9:.2g} GB"),
@@ -108,7 +108,7 @@ Rates are CPU times of this machine ({{ cores }} cores, load {{ load }}); what b
 <td class="n">{{ "-" if value is none else "%.3g"|format(value) }}</td>
 <td>{{ goal }}</td></tr>
 {% endfor %}</table>
-<p class="soft">Two workers are compared in wall time on a machine that others load;
+<p class="soft">Two workers take turns with one by the clock, on a machine that others load;
 their CPU a file says what contention costs.</p>
 <h2>Cost against size</h2><img alt="CPU against number of files and of pixels" src="data:image/svg+xml;base64,{{ picture }}">
 <h2>Faults survived</h2>
@@ -124,7 +124,7 @@ text = page.render(
     captures=f"{CAPTURES:,}",
     machines=MACHINES,
     workers=WORKERS,
-    mb=CAPTURE_MB,
+    mb=", ".join(f"{mb:.1f} ({kind})" for kind, mb in megabytes.items()),
     line=NETWORK_MB_S,
     cores=measured["cores"],
     load=" to ".join(f"{v:.1f}" for v in measured["load_before_after"]),

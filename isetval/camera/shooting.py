@@ -93,15 +93,39 @@ def shoot(
     check_sensor(model, plan)
     values = values or {}
     camera = camera_with(model, plan, values)
-    previous = 0.0
-    for shot in plan.shots:
+    for number, shot in enumerate(plan.shots):
         setup = shot_setup(plan, shot, values)
-        factors = frame_levels(plan, shot, seed) if draw else None
         mean_electrons(camera, setup, progress=rendering)
-        frames = expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
-        yield shot, frames
-        if any(effect.needs_previous for effect in camera.effects):
-            previous = float(mean_electrons(camera, setup).mean())
+        factors = frame_levels(plan, shot, seed) if draw else None
+        previous = _charge_before(camera, plan, number, values)
+        yield shot, expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
+
+
+def _charge_before(camera: CameraModel, plan: Campaign, number: int, values: Mapping[str, float]) -> float:
+    """Mean charge of the shot before, in e-, where an effect asks for it."""
+    if number == 0 or not any(effect.needs_previous for effect in camera.effects):
+        return 0.0
+    return float(mean_electrons(camera, shot_setup(plan, plan.shots[number - 1], values)).mean())
+
+
+def shoot_one(
+    model: CameraModel,
+    plan: Campaign,
+    number: int,
+    seed: int = 0,
+    *,
+    values: Mapping[str, float] | None = None,
+    draw: bool = False,
+    sensor_seed: int | None = None,
+) -> tuple[Capture, ...]:
+    """The frames of one shot of `shoot`, the same bits: shots may be taken in any order and on any machine."""
+    model = model.sampled_as(plan.sensor)
+    check_sensor(model, plan)
+    values, shot = values or {}, plan.shots[number]
+    camera = camera_with(model, plan, values)
+    factors = frame_levels(plan, shot, seed) if draw else None
+    previous = _charge_before(camera, plan, number, values)
+    return expose(camera, shot_setup(plan, shot, values), seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
 
 
 def check_sensor(model: CameraModel, plan: Campaign) -> None:

@@ -61,10 +61,11 @@ def write_campaign(
     """
     target = Path(folder)
     check_free(target)
-    scratch = _scratch_folder(target)
+    scratch = scratch_folder(target)
     try:
+        stems = shot_stems(campaign.shots)
         files = {
-            shot.name: _write_frames(scratch, campaign, shot, frames, model)
+            shot.name: write_frames(scratch, campaign, frames, stem=stems[shot.name], model=model)
             for shot, frames in (captures if captures is not None else _own(campaign))
         }
         write_tables(campaign, scratch, files, remarks)
@@ -94,7 +95,14 @@ def check_free(target: Path) -> None:
         raise InputError(f"{target}: is a file; name a folder")
 
 
-def _scratch_folder(target: Path) -> Path:
+def scratch_folder(target: Path) -> Path:
+    """A new hidden folder beside ``target``, to be renamed to it.
+
+    Raises
+    ------
+    InputError
+        If the folder above does not exist or cannot be written.
+    """
     parent = target.resolve().parent
     if not parent.is_dir():
         raise InputError(f"{target}: the folder {parent} does not exist; make it, or write elsewhere")
@@ -112,14 +120,23 @@ def _own(campaign: Campaign) -> Shots:
             yield shot, campaign.captures[shot.name]
 
 
-def _write_frames(
-    folder: Path, campaign: Campaign, shot: Shot, frames: Sequence[Capture], model: CameraModel | None
+def shot_stems(shots: Iterable[Shot]) -> dict[str, str]:
+    """Shot name -> what the names of its files begin with, each its own."""
+    stems: dict[str, str] = {}
+    for shot in shots:
+        stem = file_stem(shot.name)
+        while stem in stems.values():
+            stem += "_"
+        stems[shot.name] = stem
+    return stems
+
+
+def write_frames(
+    folder: Path, campaign: Campaign, frames: Sequence[Capture], *, stem: str, model: CameraModel | None
 ) -> tuple[str, ...]:
+    """Write the frames of a shot as DNG files; their names."""
     from isetval.files.dng import write_dng
 
-    stem = file_stem(shot.name)
-    while (folder / f"{stem}_00.dng").exists():
-        stem += "_"
     names = []
     for i, capture in enumerate(frames):
         name = f"{stem}_{i:02d}.dng"

@@ -64,6 +64,19 @@ def main() -> dict[str, float]:
     return found
 
 
+def rows():
+    """Lines of the table: targets are ratios to the floor and rates at the floor's speed of a quiet core."""
+    from timing import Row
+
+    found = main()
+    out = []
+    for name, most, least in (("single", "<= 25", ">= 370"), ("batch", "<= 10", ">= 1000")):
+        cpu_ms = 1e3 / found[f"{name}_per_second"]
+        out.append(Row(f"SFR {name}, 100 x 100: CPU over binning and FFT", most, found[f"{name}_over_floor"], cpu_ms))
+        out.append(Row(f"SFR {name}, 100 x 100: regions a CPU second", least, found[f"{name}_per_second"], cpu_ms))
+    return out
+
+
 if __name__ == "__main__":
     found = main()
     if "--json" in sys.argv:

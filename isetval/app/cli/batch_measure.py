@@ -24,18 +24,28 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
         "With one of these each file (darks and flats: the files of each folder) is measured by itself, with its own black "
         "level, and what was measured is stored: after any interruption the same command goes on where it was.",
     )
-    many.add_argument("-j", "--jobs", type=int, metavar="N", help="N processes of this machine")
-    many.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, as tcp://host:8786 (extra 'cluster')")
-    many.add_argument("--scheduler-file", metavar="FILE", help="the JSON file of a dask scheduler (extra 'cluster')")
+    add_engine_options(many)
     many.add_argument("--store", metavar="DIR", type=Path, help="where records are kept, by content (default: the user's cache)")
     many.add_argument(
         "--isolate", action="store_true", help="decode in a process of its own: a file that ends it is left out by name"
     )
 
 
+def add_engine_options(group: argparse._ArgumentGroup) -> None:
+    """What does the work: processes of this machine or a cluster."""
+    group.add_argument("-j", "--jobs", type=int, metavar="N", help="N processes of this machine")
+    group.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, as tcp://host:8786 (extra 'cluster')")
+    group.add_argument("--scheduler-file", metavar="FILE", help="the JSON file of a dask scheduler (extra 'cluster')")
+
+
+def has_engine(args: argparse.Namespace) -> bool:
+    """Whether one of them is named."""
+    return args.jobs is not None or bool(args.scheduler or args.scheduler_file)
+
+
 def is_batch(args: argparse.Namespace) -> bool:
     """Whether any of the options is given."""
-    return args.jobs is not None or args.isolate or any((args.scheduler, args.scheduler_file, args.store))
+    return has_engine(args) or args.isolate or args.store is not None
 
 
 def measure_batch(args: argparse.Namespace, console: Console, raw: Mapping[str, Any] | None) -> Outcome:
@@ -50,7 +60,7 @@ def measure_batch(args: argparse.Namespace, console: Console, raw: Mapping[str, 
     units = part_of(units_of(raw_files(args.paths), args.role), args.shard)
     fresh = getattr(args, "fresh", False)  # of rerun: no store may answer for it
     store = None if fresh else args.store or _own_store()
-    engine = _engine(args)
+    engine = engine_of(args)
     console.say(f"measuring {sum(len(unit.files) for unit in units)} files")
     finished = False
     try:
@@ -81,8 +91,6 @@ def _refuse_pages(args: argparse.Namespace) -> None:
             "pictures and curves are not made of many files at once; write .json or .csv here, "
             "and measure the few files of interest without --jobs, --scheduler, --store and --isolate"
         )
-    if sum(map(bool, (args.jobs is not None or args.isolate, args.scheduler, args.scheduler_file))) > 1:
-        raise InputError("--jobs or --isolate, --scheduler and --scheduler-file are different engines; name one of them")
 
 
 def _refuse_campaigns(args: argparse.Namespace) -> None:
@@ -107,12 +115,24 @@ def _own_store() -> Path | None:
     return None if folder.is_relative_to(os.devnull) else folder
 
 
-def _engine(args: argparse.Namespace) -> Engine:
-    from isetval.core.engine import Cluster, Here, Processes
+def engine_of(args: argparse.Namespace) -> Engine:
+    """The engine that the options name; this process where they name none.
 
+    Raises
+    ------
+    InputError
+        If they name two.
+    """
+    from isetval.core.engine import Cluster, Here, Processes
+    from isetval.core.errors import InputError
+
+    isolate = getattr(args, "isolate", False)
+    if sum(map(bool, (args.jobs is not None or isolate, args.scheduler, args.scheduler_file))) > 1:
+        own = "--jobs or --isolate" if hasattr(args, "isolate") else "--jobs"
+        raise InputError(f"{own}, --scheduler and --scheduler-file are different engines; name one of them")
     if args.scheduler or args.scheduler_file:
         return Cluster(args.scheduler or "", file=args.scheduler_file or "")
-    return Here() if args.jobs is None and not args.isolate else Processes(1 if args.jobs is None else args.jobs)
+    return Here() if args.jobs is None and not isolate else Processes(1 if args.jobs is None else args.jobs)
 
 
 def _outcome(batch: Batch, settings: Mapping[str, Any], *, whole: bool) -> Outcome:

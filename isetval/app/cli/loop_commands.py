@@ -7,8 +7,10 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from isetval.app.cli.batch_measure import add_engine_options, engine_of, has_engine
 from isetval.app.cli.console import Console
 from isetval.app.cli.curves import curve_options, shots_of
+from isetval.app.cli.measure_command import shard
 from isetval.app.cli.outcome import FINE, OUTSIDE_LIMITS, Outcome
 
 if TYPE_CHECKING:
@@ -59,6 +61,12 @@ def _register_simulate(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("--seed", type=int, default=0, help="same seed, same bits (default 0)")
     p.add_argument("--sensor-seed", type=int, help="the specimen: seed of the fixed patterns (default: the seed)")
     p.add_argument("--draw", action="store_true", help="draw the laboratory's nuisances from their priors (default: all 0)")
+    add_engine_options(
+        p.add_argument_group(
+            "many processes", "With one of these an interrupted run goes on where it was when it is given again."
+        )
+    )
+    p.add_argument("--shard", metavar="i/n", type=shard, help="only the i-th of n parts of the shots (for clusters)")
     p.set_defaults(handler=simulate, writes_result=False)
 
 
@@ -118,6 +126,8 @@ def simulate(args: argparse.Namespace, console: Console) -> Outcome:
     shot = tuple(replace(s, given=None) for s in plan.shots)  # what somebody measured is not simulated
     campaign = replace(plan.as_plan(), shots=shot, sensor=model.sensor, provenance=made)
     total = len(plan.shots)
+    if args.shard or has_engine(args):
+        return _simulate_on_engine(args, console, (model, plan, made), inputs)
 
     def shots() -> Any:
         made_shots = shoot(
@@ -139,6 +149,30 @@ def simulate(args: argparse.Namespace, console: Console) -> Outcome:
     result = {"kind": "simulate", "folder": str(folder), "shots": total, "files": files, "settings": made}
     frames = sum(shot.frames for shot in plan.shots)
     return Outcome(result, [f"{total} shots, {frames} frames written to {folder}"], FINE, inputs)
+
+
+def _simulate_on_engine(
+    args: argparse.Namespace, console: Console, what: tuple[CameraModel, Campaign, dict[str, Any]], inputs: dict[str, str]
+) -> Outcome:
+    from isetval.app.batch.shooting import shoot_on, shooting
+
+    model, plan, made = what
+    job = shooting(model, plan, made, seed=args.seed, values=made["nuisances"], draw=args.draw, sensor_seed=args.sensor_seed)
+    engine = engine_of(args)
+    target, finished = Path(args.output), False
+    console.say(f"shooting {len(plan.shots)} shots")
+    try:
+        done, total = shoot_on(job, engine, target, part=args.shard, progress=console.progress)
+        finished = True
+    finally:
+        engine.close(wait=finished)
+    result = {"kind": "simulate", "folder": str(target), "shots": total, "done": done, "settings": made}
+    frames = sum(shot.frames for shot in plan.shots)
+    if done < total:
+        words = f"{done} of {total} shots are there; {target} appears when the other parts are shot"
+        return Outcome(result, [words], FINE, inputs)
+    files = sorted(p.name for p in target.iterdir())
+    return Outcome(result | {"files": files}, [f"{total} shots, {frames} frames written to {target}"], FINE, inputs)
 
 
 def compare(args: argparse.Namespace, console: Console) -> Outcome:

@@ -1,0 +1,93 @@
+"""A plan shot by processes, in parts and after kills: the same folder to the last byte."""
+
+import pytest
+from batch_runs import command, finished, group_members, kill_group, until
+
+import isetval
+from isetval.app.cli import main
+from isetval.core.campaign import Campaign, Shot
+from isetval.core.sensor import Exposure, Window
+from isetval.core.toml import data_folder
+from isetval.files.campaign_writer import write_campaign
+
+MODEL = data_folder() / "pixel4a" / "camera.toml"
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    """Six shots of two frames; two of them would give their files the same name."""
+    model = isetval.load_model(MODEL)
+    names = ("dark 1", "dark_1", "dark 2", "dark 3", "dark 4", "dark 5")
+    shots = tuple(
+        Shot(
+            name, "dark", setup=name, exposure=Exposure(time_s=0.01 * (i + 1), iso=55), frames=2, window=Window(8 * i, 16, 64, 96)
+        )
+        for i, name in enumerate(names)
+    )
+    campaign = Campaign("night", shots, sensor=model.sensor)
+    return write_campaign(campaign, tmp_path_factory.mktemp("plans") / "night") / "campaign.toml"
+
+
+def bytes_of(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def simulated(plan, target, *words):
+    return main(["simulate", str(MODEL), str(plan), "--seed", "7", "--draw", "-o", str(target), "-q", *words])
+
+
+@pytest.fixture(scope="module")
+def quiet(plan, tmp_path_factory):
+    """What one process gives without any engine."""
+    folder = tmp_path_factory.mktemp("quiet") / "night"
+    assert simulated(plan, folder) == 0
+    return bytes_of(folder)
+
+
+def test_processes_and_parts_give_the_same_bytes(plan, quiet, tmp_path):
+    assert simulated(plan, tmp_path / "two", "--jobs", "2") == 0
+    assert bytes_of(tmp_path / "two") == quiet
+    for part in (2, 3):
+        assert simulated(plan, tmp_path / "parts", "--shard", f"{part}/3") == 0
+        assert not (tmp_path / "parts").exists()
+    assert simulated(plan, tmp_path / "parts", "--shard", "1/3", "--jobs", "1") == 0
+    assert bytes_of(tmp_path / "parts") == quiet
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["parts", "two"]
+
+
+def test_another_seed_is_another_simulation(plan, quiet, tmp_path):
+    """What a part of another simulation left there is not taken."""
+    assert main(["simulate", str(MODEL), str(plan), "--seed", "8", "-o", str(tmp_path / "night"), "-q", "--shard", "1/2"]) == 0
+    assert simulated(plan, tmp_path / "night", "--jobs", "1") == 0
+    assert bytes_of(tmp_path / "night") == quiet
+
+
+def test_a_killed_run_goes_on(plan, quiet, tmp_path):
+    """kill -9 of client and worker when some shots are there: what is there is not shot again."""
+    words = ("simulate", MODEL, plan, "--seed", "7", "--draw", "-o", tmp_path / "night", "--jobs", "1", "-q")
+
+    def there():
+        return sorted(tmp_path.glob(".night.*/shot_*"))
+
+    run = command(*words)
+    until(lambda: there() or run.poll() is not None)
+    kill_group(run)
+    until(lambda: not group_members(run.pid), 30)
+    assert not (tmp_path / "night").exists() or bytes_of(tmp_path / "night") == quiet
+    if not (tmp_path / "night").exists():
+        kept = there()[0]
+        marked = kept / next(kept.iterdir()).name
+        was = marked.stat().st_mtime_ns
+        code, _, err = finished(command(*words))
+        assert code == 0, err
+        assert (tmp_path / "night" / marked.name).stat().st_mtime_ns == was  # the same file, not shot again
+    assert bytes_of(tmp_path / "night") == quiet
+    assert [path.name for path in tmp_path.iterdir()] == ["night"]
+
+
+def test_a_full_folder_is_refused(plan, tmp_path, capsys):
+    (tmp_path / "night").mkdir()
+    (tmp_path / "night" / "mine.txt").write_text("kept")
+    assert simulated(plan, tmp_path / "night", "--jobs", "1") == 3
+    assert "is not empty" in capsys.readouterr().err
+    assert (tmp_path / "night" / "mine.txt").read_text() == "kept"

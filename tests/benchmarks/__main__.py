@@ -1,0 +1,57 @@
+"""The whole speed table: what is asked, what was measured, CPU and wall apart, the load beside it.
+
+    python -m tests.benchmarks [--only dng,measure,sfr,photon,chain] [--files 1000] [-o table.json]
+
+Every ratio is of times that were taken in turns within one run, so that a busy machine slows both sides; CPU times still grow by
+some ten percent where others use the caches.  About five minutes on a quiet core.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+import archive_scale
+import dng_reading
+import photon_transfer_speed
+import sensor_chain_speed
+import sfr_speed
+from timing import table_lines
+
+
+def dng(args):
+    with tempfile.TemporaryDirectory() as folder:
+        return dng_reading.rows(Path(folder))
+
+
+PARTS = {
+    "dng": dng,
+    "measure": lambda args: archive_scale.rows_of(archive_scale.measured(args.files)),
+    "sfr": lambda args: sfr_speed.rows(),
+    "photon": lambda args: photon_transfer_speed.rows(),
+    "chain": lambda args: sensor_chain_speed.rows(),
+}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default=",".join(PARTS), help="parts, by comma (default: all of %(default)s)")
+    parser.add_argument("--files", type=int, default=1000, help="the largest number of small files")
+    parser.add_argument("-o", "--output", type=Path, help="the rows as JSON")
+    args = parser.parse_args()
+    load, found = os.getloadavg()[0], []
+    for part in args.only.split(","):
+        print(f"measuring {part}", file=sys.stderr)
+        found += PARTS[part](args)
+    loads = (load, os.getloadavg()[0])
+    print("\n".join(table_lines(found, loads)))
+    if args.output:
+        rows = [vars(row) | {"name": row.name.strip(), "met": row.met} for row in found]
+        args.output.write_text(json.dumps({"rows": rows, "load": loads, "cores": os.cpu_count()}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
