@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
@@ -26,6 +27,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 ROWS = HERE.parent / "data" / "stored" / "hidden_effects.jsonl"
 REPORT = HERE.parent / "reports" / "hidden_effects.html"
+CAUSES = HERE.parent / "data" / "stored" / "hidden_effects_causes.json"  # of wrong answers, by trial, written by who looked
 
 
 def main(words=None):
@@ -96,11 +98,13 @@ def _run(options):
     if options.rows.exists() and not options.resume:
         raise SystemExit(f"{options.rows}: holds rows already; add --resume to go on, or name another file with --rows")
     done = {row["id"] for row in _rows(options.rows)}
+    commit = _commit()
     lock, left = Lock(), [t for t in wanted if t.id not in done]
     print(f"{len(wanted)} trials, {len(wanted) - len(left)} of them done", flush=True)
 
     def one(trial):
         row = run(trial, limit_s=options.limit_s, folder=options.keep, with_oracle=not options.no_oracle)
+        row["commit"] = commit
         with lock, options.rows.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         print(line(row), flush=True)
@@ -111,6 +115,20 @@ def _run(options):
             file.write("\n")  # ends the line that a killed run left half written
     with ThreadPoolExecutor(options.jobs) as pool:
         list(pool.map(one, left))
+
+
+def _commit():
+    """The commit that runs, "+" where files of it were changed since; empty without git."""
+
+    def said(*words):
+        try:
+            done = subprocess.run(["git", "-C", str(HERE), *words], capture_output=True, text=True, check=False)
+        except OSError:
+            return ""
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    commit = said("rev-parse", "--short=12", "HEAD")
+    return commit + "+" * bool(commit and said("status", "--porcelain", "-uno"))
 
 
 def line(row):
@@ -149,7 +167,11 @@ def _sum_up(options):
     if not rows:
         raise SystemExit(f"{options.rows}: no rows yet")
     made = {"isetval": isetval.__version__, "date": datetime.now(UTC).strftime("%Y-%m-%d")}
+    made["commits"] = sorted({row.get("commit") or "not known" for row, _ in rows})
     found = {**made, **_sets(rows), **summary(rows), "confusions": held_against(rows)}
+    causes = json.loads(CAUSES.read_text(encoding="utf-8")) if CAUSES.is_file() else {}
+    for wrong in found["wrong"]:
+        wrong["cause"] = causes.get(wrong["id"], "")
     options.report.parent.mkdir(parents=True, exist_ok=True)
     options.report.with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     write_page(found, options.report)
@@ -171,7 +193,8 @@ def _stored_table(report):
     if not path.is_file():
         raise SystemExit(f"{path}: not there; run this script first")
     found = json.loads(path.read_text(encoding="utf-8"))
-    head = f"{found['n']} trials ({', '.join(found['sets'])}), isetval {found['isetval']}, {found['date']}"
+    commits = ", ".join(found.get("commits", ("not known",)))
+    head = f"{found['n']} trials ({', '.join(found['sets'])}), isetval {found['isetval']} at {commits}, {found['date']}"
     return [head, *table_lines(found)]
 
 

@@ -9,8 +9,8 @@ RIGHT = ("right", "")
 def judged(row):
     """What a trial's answer was worth: detected, first name, further names, pulls, and why it is wrong in words."""
     answer = row["answer"]
-    if answer is None or "verdict" not in answer:
-        reason = row["error"] or "no answer"
+    if answer is None or answer.get("verdict", "unfinished") == "unfinished":
+        reason = row["error"] or "; ".join((answer or {}).get("not_looked_at", ())) or "no answer"
         return {"answered": False, "right": False, "outcome": "no answer", "why": reason, "named": []}
     named = [effect["name"] for effect in answer["effects"]]
     out = {

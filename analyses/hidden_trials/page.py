@@ -18,9 +18,10 @@ def write_page(found, path):
     """Write one self-contained HTML file."""
     parts = [
         f"<h1>Hidden effects: {found['n']} trials</h1>",
-        f"<p>{escape(', '.join(found['sets']))}; isetval {found['isetval']}, {found['date']}. Campaigns are shot by a camera "
-        "that shares no code with isetval (<code>isetval.testing.foreign_camera</code>); no answer in time counts as "
-        "wrong. Intervals are Wilson's 95 %; green: the share meets its target, amber: only its interval does, red: neither.</p>",
+        f"<p>{escape(', '.join(found['sets']))}; isetval {found['isetval']} at commit "
+        f"{escape(', '.join(found['commits']))}, {found['date']}. Campaigns are shot by a "
+        "camera that shares no code with isetval (<code>isetval.testing.foreign_camera</code>); no answer counts as wrong. "
+        "Intervals are Wilson's 95 %; green: the share meets its target, amber: only its interval does, red: neither.</p>",
         _targets(found),
         "<h2>Power</h2>", _svg(_power, found), "<h2>Is the stated posterior true?</h2>", _svg(_reliability, found),
         "<h2>Pulls of fitted parameters</h2>", _svg(_pulls, found),
@@ -174,5 +175,5 @@ def _wrong(found):
     rows = []
     for w in found["wrong"]:
         s = "/".join("?" if v is None else f"{v:.0f}" for v in w["expected_s"])
-        rows.append([_cell(w["id"]), _cell(s, "n"), _cell(w["outcome"]), _cell(w["why"])])
-    return _table(("trial", "s", "outcome", "what was said"), rows)
+        rows.append([_cell(w["id"]), _cell(s, "n"), _cell(w["outcome"]), _cell(w["why"]), _cell(w["cause"])])
+    return _table(("trial", "s", "outcome", "what was said", "cause"), rows)

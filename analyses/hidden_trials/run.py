@@ -71,6 +71,8 @@ def _short(content):
         "verdict": content["verdict"],
         "effects": content["effects"],
         "leftover": content["leftover"],
+        "probabilities": content["probabilities"],
+        "not_looked_at": content["not_looked_at"],
         "gate": content["gate"],
         "holdout": content["holdout"],
         "ladder": content["ladder"],

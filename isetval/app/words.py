@@ -15,6 +15,7 @@ VERDICT_WORDS = {
     "partial": "an effect explains part of the difference; something else remains",
     "unexplained": "the model fails, and none of the known effects explains it",
     "gate_failed": "repeated set-ups do not agree within their error bars, so nothing can be concluded",
+    "unfinished": "the search was stopped at its time limit; what is named is the best statement so far",
 }
 
 

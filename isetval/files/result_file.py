@@ -196,12 +196,13 @@ class Gate(msgspec.Struct, frozen=True):
 class Diagnosed(msgspec.Struct, frozen=True):
     """Of ``isetval diagnose``."""
 
-    verdict: Literal["consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed"]
+    verdict: Literal["consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed", "unfinished"]
     effects: list[NamedEffect]
     candidates: list[Candidate] = []
     unobservable: list[str] = []
     next_captures: list[NextCapture] = []
     leftover: Words = None
+    not_looked_at: list[str] = []
     ladder: list[LadderRow] = []
     gate: Gate | None = None
     campaign: Words = None

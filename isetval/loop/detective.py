@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
+from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, aligned, candidates_for, doubts_for, lights_of, signatures
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
@@ -21,7 +23,6 @@ from isetval.loop.investigation import (
     ask_holdout,
     fitted_jointly,
     rebase,
-    second_session,
     weigh_neighbours,
 )
 from isetval.loop.posterior import NOTHING, Names
@@ -30,12 +31,10 @@ from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
 from isetval.loop.subset_sum import MAX_EFFECTS
-from isetval.loop.telling import Progress, Say, Teller
-from isetval.loop.unknown import Finding, findings, unknown_odds
-from isetval.loop.verdict import account_of
+from isetval.loop.telling import Deadline, Progress, Say, TimeUp
+from isetval.loop.verdict import ALPHA, account_of, stopped_account
 
 Float = NDArray[np.float64]
-ALPHA = 0.01  # false alarms in a true model, all candidates together
 ODDS = 19.0  # 95 %: what a name needs against the same without it
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked only where they are closer
@@ -44,6 +43,7 @@ BENDS = 0.5  # share of what a single effect explains that its signature may be 
 BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
 # Z grows with the logarithm of chi2 only and cannot be asked (a black level of 140 sigma left 3 % of a chi2 of 20,000)
 RANKED = 20  # subsets looked at for what to fit: those after them hold less than one in a hundred
+LIMIT_S = 3600.0  # a search that is not over in an hour is asked for by name: the longest that was seen took a quarter of it
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
 
@@ -56,6 +56,7 @@ def diagnose(
     say: Say | None = None,
     progress: Progress | None = None,
     with_next_captures: bool = True,
+    limit_s: float = LIMIT_S,
 ) -> Diagnosis:
     """Name the physical effect that is missing from ``model``.
 
@@ -76,6 +77,9 @@ def diagnose(
         ``progress(what is being done, done, total)``, called as shots are measured and simulated.
     with_next_captures : bool
         Search the captures that would tell close candidates apart.
+    limit_s : float
+        Seconds after which the search stops, at the next shot that is done: the diagnosis then has the verdict ``unfinished``,
+        names the best statement so far and says in ``not_looked_at`` what it did not look at.
 
     Returns
     -------
@@ -84,7 +88,7 @@ def diagnose(
     Raises
     ------
     InputError
-        If nothing can be measured or compared.
+        If nothing can be measured or compared, or the limit is not above 0.
 
     Notes
     -----
@@ -92,25 +96,39 @@ def diagnose(
     few that carry its mass are fitted in full, at bases made where they stand.  The hold-out's predictive probability adds to
     their evidence.  Templates without physics catch what the catalogue does not hold.  See ``docs/detective.md``.
     """
-    say = Teller.of(say, progress)
+    if not limit_s > 0:
+        raise InputError(f"limit_s is {limit_s}; it needs a time above 0")
+    watch = Deadline(limit_s, say, progress)
     ready = holdout if isinstance(holdout, Prepared) else None
     used, other = (campaign, None) if isinstance(holdout, Prepared) else split_sessions(campaign, holdout)
     model = model.sampled_as(used.sensor)
-    prepared = prepare(model, used, jobs=jobs, say=say)
-    try:
-        gate = repeat_gate(prepared)
-        if gate["failed"]:
-            return _gate_failed(model, gate, prepared)
-        held = prepare(model, other, jobs=jobs, say=say) if other is not None else ready
+    with ExitStack() as stack:
         try:
-            case = _open_case(prepared, model, say, held)
-            leftovers = _investigate(case, say)
-            return account_of(case, gate, leftovers, alpha=ALPHA, say=say, more=with_next_captures)
-        finally:
-            if held is not None and held is not ready:
-                held.close()
-    finally:
-        prepared.close()
+            prepared = stack.enter_context(prepare(model, used, jobs=jobs, say=watch))
+            gate = repeat_gate(prepared)
+            if gate["failed"]:
+                return _gate_failed(model, gate, prepared)
+            held = stack.enter_context(prepare(model, other, jobs=jobs, say=watch)) if other is not None else ready
+            case = _open_case(prepared, model, watch, held)
+        except TimeUp:
+            return _unfinished(model, watch)
+        try:
+            _investigate(case, watch)
+            return account_of(case, gate, say=watch, more=with_next_captures)
+        except TimeUp:
+            watch.open = False
+            return stopped_account(case, gate, watch, unfitted=_unfitted(case))
+
+
+def _unfinished(model: CameraModel, watch: Deadline) -> Diagnosis:
+    words = (f"any effect: stopped after {watch.limit_s:g} s while {watch.words}",)
+    return Diagnosis("unfinished", (), (), (), (), None, (), {}, model, model, not_looked_at=words)
+
+
+def _unfitted(case: Investigation) -> list[str]:
+    """Effects of which the linear sum says that they may be missing, and that were not fitted in full."""
+    fitted = {name for names in case.known if names not in case.rough for name in names}
+    return [name for names in _proposals(case, first=True)[:RANKED] for name in names if name not in fitted]
 
 
 def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared) -> Diagnosis:
@@ -138,31 +156,41 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     return case
 
 
-def _investigate(case: Investigation, say: Say) -> list[Finding]:
-    """Change what is believed until nothing is more probable; returns the patterns that are left over."""
+def _investigate(case: Investigation, say: Say) -> None:
+    """Change what is believed until nothing is more probable; stopped, what is most probable so far is left standing."""
     seen = {case.standing.names}
-    for turn in range(MAX_TURNS):
-        weigh_neighbours(case)
-        if turn == 0:
-            _tell_evidence(case)
-        shaped = in_best_form(case, case.standing, say)  # before anything else is said to be missing
-        if shaped is not case.standing:
-            case.standing = shaped
-            rebase(case, say)
-            continue
-        better = _better(case, say, seen, first=turn == 0)
-        if better is None:
-            break
-        say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
-        seen.add(better.names)
-        same = {id(m) for m in better.effects} == {id(m) for m in case.standing.effects}
-        case.standing = better
-        if not same:
-            rebase(case, say)
-    case.rows = [replace(row, posterior=case.table.of(row.name)) if row.observable else row for row in case.rows]
-    frame = make_frame(case.fitted)
-    case.unknown = unknown_odds(case.problem, frame, case.classes)
-    return findings(case.problem, frame, alpha=ALPHA, second=second_session(case))
+    try:
+        for turn in range(MAX_TURNS):
+            weigh_neighbours(case)
+            if turn == 0:
+                _tell_evidence(case)
+            shaped = in_best_form(case, case.standing, say)  # before anything else is said to be missing
+            if shaped is not case.standing:
+                case.standing = shaped
+                _move_base(case, say)
+                continue
+            better = _better(case, say, seen, first=turn == 0)
+            if better is None:
+                break
+            say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
+            seen.add(better.names)
+            same = {id(m) for m in better.effects} == {id(m) for m in case.standing.effects}
+            case.standing = better
+            if not same:
+                _move_base(case, say)
+    except TimeUp:
+        case.standing = _winner(case, seen) or case.standing
+        raise
+
+
+def _move_base(case: Investigation, say: Say) -> None:
+    """Weigh anew at what stands; where the time ends on the way there, all is as it was."""
+    before = (case.problem, case.standing, case.known, case.told)
+    try:
+        rebase(case, say)
+    except TimeUp:
+        case.problem, case.standing, case.known, case.told = before
+        raise
 
 
 def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> Hypothesis | None:
@@ -175,6 +203,12 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> 
     if abs(case.score(lead) - case.score(case.standing)) < CLEAR:
         say("asking the hold-out")
         ask_holdout(case, [h for h in case.known.values() if h is lead or h in tried or h.names < case.standing.names])
+    return _winner(case, seen)
+
+
+def _winner(case: Investigation, seen: set[Names]) -> Hypothesis | None:
+    """The most probable hypothesis that was fitted and has what it needs against what stands, or None."""
+    rivals = [h for h in case.known.values() if h.names not in seen and len(h.effects) <= MAX_EFFECTS]
     wins = [h for h in rivals if case.score(h) - case.score(case.standing) > _needed(case, h) and _asked_for(case, h)]
     return max(wins, key=case.score, default=None)
 

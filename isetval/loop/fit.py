@@ -93,7 +93,7 @@ def jacobian(
     """
     moved = _moved(problem, point, free, stale)
     wanted = [f for f in free if not f.is_nuisance or f.label not in problem.columns or f.label in moved]
-    raw = dict(zip((f.label for f in wanted), _slopes(problem, point, wanted, both_sides), strict=True))
+    raw = dict(zip((f.label for f in wanted), slopes(problem, point, wanted, both_sides), strict=True))
     here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
     problem.columns.update({f.label: Column(raw[f.label], here) for f in wanted if f.is_nuisance})
     focus = [problem.columns[f.label].slope for f in free if f.focus]
@@ -144,7 +144,7 @@ def far_values(fitted: Fit) -> dict[str, float]:
     return out
 
 
-def _slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool) -> list[Float]:
+def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool = False) -> list[Float]:
     """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked."""
     points: list[Point] = [point]
     steps, twice = [], []

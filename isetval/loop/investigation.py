@@ -17,9 +17,8 @@ from isetval.loop.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.result import CandidateRow, FormRow
-from isetval.loop.score_test import Frame, make_frame
+from isetval.loop.score_test import Frame
 from isetval.loop.subset_sum import MAX_EFFECTS, Term, Weighed, weigh, weigh_all
-from isetval.loop.unknown import Second
 
 Float = NDArray[np.float64]
 SLIPS = (
@@ -36,7 +35,7 @@ class Investigation:
 
     ``standing`` is what is believed; ``known`` are all hypotheses with the weights of the present ``problem``, among them those
     with a member of ``standing`` taken out, about which the sum is linearised (``rough``: not fitted yet); ``table`` is the
-    sum, ``unknown`` the odds of something of no known shape beside what stands.
+    sum over what the catalogue holds.
     """
 
     prepared: Prepared
@@ -54,7 +53,6 @@ class Investigation:
     told: dict[Names, float] = field(default_factory=dict)
     rows: list[CandidateRow] = field(default_factory=list)
     unobservable: tuple[str, ...] = ()
-    unknown: float = 0.0
     remarks: list[str] = field(default_factory=list)
     forms: dict[str, tuple[FormRow, ...]] = field(default_factory=dict)
     whitened: tuple[Problem | None, dict[str, Float]] = (None, {})
@@ -92,14 +90,6 @@ class Investigation:
     def member(self, name: str) -> Member:
         """The member of that name, in the form in which it stands if it does."""
         return next(m for m in (*self.standing.members, *self.candidates, *self.doubts) if m.name == name)
-
-
-def second_session(case: Investigation) -> Second | None:
-    """The hold-out under the model named so far."""
-    if case.held is None:
-        return None
-    problem, fitted = case.held.settled(named_model(case.prepared.model, case.standing))
-    return Second(problem, make_frame(fitted), fitted.residual)
 
 
 def named_model(nominal: CameraModel, found: Hypothesis) -> CameraModel:

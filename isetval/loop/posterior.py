@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 Names = frozenset[str]
 NOTHING: Names = frozenset()
+UNKNOWN = "something unknown"
 WIDTH_SCAN = 3.0  # prior widths are plausible scales, known to about this factor
+
+
+def like(name: str) -> str:
+    """The member that is something unknown which looks like an effect."""
+    return f"{UNKNOWN}, like {name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +43,11 @@ class Posterior:
     def nothing(self) -> float:
         """Probability that nothing is missing."""
         return self.probabilities().get(NOTHING, 0.0)
+
+    @property
+    def unknown(self) -> float:
+        """Probability that something unknown is at work, beside what is named or in its place."""
+        return min(1.0, float(sum(p for s, p in self.probabilities().items() if any(n.startswith(UNKNOWN) for n in s))))
 
     def log_rest(self, names: Names) -> float:
         """Ln of how much more probable it is that anything is missing than that exactly these are."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from isetval.loop.form_curve import FormCurve
 
-VERDICTS = ("consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed")
+VERDICTS = ("consistent", "attributed", "ambiguous", "partial", "unexplained", "gate_failed", "unfinished")
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,9 @@ class NextCapture:
 class Diagnosis(Drawn):
     """The verdict and all that it rests on.
 
-    ``probabilities``: that ``nothing`` is missing, and that something ``unknown`` is left beside what is named, of no shape in
-    the catalogue.
+    ``probabilities``: that ``nothing`` is missing, and that something ``unknown`` is at work, which the catalogue does not hold:
+    beside what is named or in its place.  A search that its time limit ended has the verdict ``unfinished``, names the best
+    statement so far, and says in ``not_looked_at`` what it did not look at.
     """
 
     verdict: str
@@ -118,6 +119,7 @@ class Diagnosis(Drawn):
     holdout_gain: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     probabilities: Mapping[str, float] = field(default_factory=dict)
+    not_looked_at: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """The verdict and what it names."""
@@ -168,6 +170,7 @@ class Diagnosis(Drawn):
                 "gate": dict(self.gate),
                 "holdout": dict(self.holdout_gain),
                 "probabilities": dict(self.probabilities),
+                "not_looked_at": list(self.not_looked_at),
                 "notes": list(self.notes),
                 "settings": dict(self.settings),
             }

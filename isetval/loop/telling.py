@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import monotonic
 
 Say = Callable[[str], None]
 Counted = Callable[[int, int], None]
@@ -32,7 +33,50 @@ class Teller:
         if self._say is not None:
             self._say(words)
 
+    def counted_as(self, words: str, done: int, total: int) -> None:
+        """Progress under words that somebody else said."""
+        if self._progress is not None:
+            self._progress(words, done, total)
+
     def counted(self, done: int, total: int) -> None:
         """``done`` of the ``total`` parts of the step."""
         if self._progress is not None:
             self._progress(self.words, done, total)
+
+
+class TimeUp(Exception):
+    """The time that was given is over."""
+
+
+class Deadline(Teller):
+    """A teller that ends what is being done when its time is over: at the next word, or the next part that is done.
+
+    ``open`` is False once nobody is to be stopped any more.
+    """
+
+    def __init__(self, limit_s: float, say: Say | None = None, progress: Progress | None = None) -> None:
+        inner = say if isinstance(say, Teller) else Teller(say, progress)
+        super().__init__(inner, inner.counted_as)
+        self.limit_s = limit_s
+        self.end_s = monotonic() + limit_s
+        self.open = True
+
+    def __call__(self, words: str) -> None:
+        """A step is about to begin."""
+        super().__call__(words)
+        self.check()
+
+    def counted(self, done: int, total: int) -> None:
+        """``done`` of the ``total`` parts of the step."""
+        super().counted(done, total)
+        self.check()
+
+    def check(self) -> None:
+        """End here where the time is over.
+
+        Raises
+        ------
+        TimeUp
+        """
+        if self.open and monotonic() > self.end_s:
+            raise TimeUp

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
-from isetval.loop import gaussian
 from isetval.loop.candidates import WIDER
 from isetval.loop.fit import Fit
-from isetval.loop.gaussian import prior_weights
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Frame
+from isetval.loop.unknown_evidence import Patterns
 
 Float = NDArray[np.float64]
 AXES = {
@@ -41,9 +40,6 @@ GROUPS = {
 }
 MAX_PER_GROUP = 40  # labels of one condition: more (every region of a scene) would drown the others in look-elsewhere
 RIPPLES = (1, 2)  # periods from the middle to the corner: fringes of three and more need more radii than plans have
-SURE = 1e-6  # beyond it one session is enough: the chance of a hundred diagnoses with a hundred tests each is 1 %
-STRENGTH = 10.0  # sigmas that something unknown shows with: between what is just seen and what nobody overlooks
-ALLOWED = 1.1**2  # in the variance of a family: 16 replicas know the sigma of a family of 12 rows to 5 %, twice that is allowed
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +48,7 @@ class Template:
 
     words: str
     values: Float
+    family: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +68,7 @@ def templates(metrics: Sequence[Metric], predicted: Float, sigma: Float) -> Iter
         member = families == family
         for amplitude, kind in ((size, "in proportion"), (sigma, "by sigma")):
             base = np.where(member & np.isfinite(amplitude), amplitude, 0.0)
-            yield Template(f"{family}: all values ({kind})", base)
+            yield Template(f"{family}: all values ({kind})", base, family)
             yield from _along_axes(metrics, family, member, base)
         proportional = np.where(member & np.isfinite(size), size, 0.0)
         yield from _ripples(metrics, family, member, proportional)
@@ -92,9 +89,9 @@ def _along_axes(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_
             continue
         middle, half = (x[use].max() + x[use].min()) / 2, np.ptp(x[use]) / 2
         t = np.where(use, (x - middle) / half, 0.0)
-        yield Template(f"{family} changes along {words}", base * t)
+        yield Template(f"{family} changes along {words}", base * t, family)
         if np.unique(np.round(t[use], 6)).size > 2:
-            yield Template(f"{family} bends along {words}", base * np.where(use, t**2 - np.mean(t[use] ** 2), 0.0))
+            yield Template(f"{family} bends along {words}", base * np.where(use, t**2 - np.mean(t[use] ** 2), 0.0), family)
 
 
 def _ripples(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
@@ -105,8 +102,8 @@ def _ripples(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], 
         return
     turn = 2 * np.pi * np.nan_to_num((radius - known[0]) / np.ptp(known))
     for periods in RIPPLES:
-        yield Template(f"{family} ripples along field radius, {periods} periods (cosine)", base * np.cos(periods * turn))
-        yield Template(f"{family} ripples along field radius, {periods} periods (sine)", base * np.sin(periods * turn))
+        yield Template(f"{family} ripples along field radius, {periods} periods (cosine)", base * np.cos(periods * turn), family)
+        yield Template(f"{family} ripples along field radius, {periods} periods (sine)", base * np.sin(periods * turn), family)
 
 
 def _groups(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
@@ -116,112 +113,49 @@ def _groups(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], b
         if not 1 < len(found) <= MAX_PER_GROUP:
             continue
         for label in found:
-            yield Template(f"{family} differs for {words} {label}", np.where(labels == label, base, 0.0))
+            yield Template(f"{family} differs for {words} {label}", np.where(labels == label, base, 0.0), family)
             if name == "orientation":
                 radius = _axis(metrics, "radius")
                 yield Template(
                     f"{family} of {label} edges differs and grows with field radius",
                     np.where(labels == label, base * radius, 0.0),
+                    family,
                 )
 
 
-@dataclass(frozen=True, eq=False)
-class Second:
-    """Captures of a second measurement session under the same model: what is left there too."""
-
-    problem: Problem
-    frame: Frame
-    residual: Float
+def patterns_of(problem: Problem) -> Patterns:
+    """All patterns that show in the rows of a problem, whitened."""
+    metrics = problem.predictor.table.metrics
+    sigma = np.sqrt(np.diag(problem.base.covariance))
+    made = {t.words: t for t in reversed(list(templates(metrics, problem.base.mean, sigma)))}
+    if not made:
+        return Patterns((), np.array([], str), np.zeros((problem.keep.size, 0)))
+    white = problem.whitened(np.column_stack([np.nan_to_num(t.values) for t in made.values()]))
+    shown = np.flatnonzero(np.linalg.norm(white, axis=0) > 0)
+    chosen = [list(made.values())[i] for i in shown]
+    return Patterns(tuple(t.words for t in chosen), np.array([t.family for t in chosen]), white[:, shown])
 
 
 def _scored(problem: Problem, frame: Frame) -> dict[str, tuple[float, float]]:
     """Templates by their words: profiled projection of the residual on each, and its squared length."""
-    metrics = problem.predictor.table.metrics
-    sigma = np.sqrt(np.diag(problem.base.covariance))
-    columns: dict[str, Float] = {}
-    for template in templates(metrics, problem.base.mean, sigma):
-        white = problem.whitened(np.nan_to_num(template.values))
-        if np.linalg.norm(white) > 0:
-            columns.setdefault(template.words, white)
-    if not columns:
-        return {}
-    part = frame.profiled(np.column_stack(list(columns.values())))
+    patterns = patterns_of(problem)
+    part = frame.profiled(patterns.white)
     along, square = part.T @ frame.z, np.sum(part**2, axis=0)
-    return {words: (float(a), float(s)) for words, a, s in zip(columns, along, square, strict=True) if s > 1e-12}
+    return {words: (float(a), float(s)) for words, a, s in zip(patterns.words, along, square, strict=True) if s > 1e-12}
 
 
-def findings(
-    problem: Problem, frame: Frame, *, alpha: float = 0.01, limit: int = 5, second: Second | None = None
-) -> list[Finding]:
-    """Patterns whose profiled score survives the look-elsewhere correction, strongest first.
-
-    With ``second``, the pattern at its amplitude here must not be denied there: its gain on both together
-    has to pass the same threshold, unless it is beyond doubt here (p below `SURE`).
-    """
+def findings(problem: Problem, frame: Frame, *, alpha: float = 0.01, limit: int = 5) -> list[Finding]:
+    """Patterns whose profiled score survives the look-elsewhere correction, strongest first."""
     from scipy.stats import chi2
 
     scored = _scored(problem, frame)
-    there = _scored(second.problem, second.frame) if second is not None else {}
     out: list[Finding] = []
     for words, (along, square) in sorted(scored.items(), key=lambda item: -(item[1][0] ** 2) / item[1][1]):
-        gain, amplitude = along**2 / square, along / square
+        gain = along**2 / square
         p = min(1.0, float(chi2.sf(gain, 1)) * len(scored))
         if p >= alpha or len(out) == limit:
             break
-        if words in there and p > SURE:
-            other, length = there[words]
-            both = gain + 2 * amplitude * other - amplitude**2 * length
-            if chi2.sf(max(both, 0.0), 1) * len(scored) >= alpha:
-                continue
         out.append(Finding(words, gain, p))
-    return out
-
-
-def unknown_odds(problem: Problem, frame: Frame, classes: int) -> float:
-    """Odds that something of no known shape is left over, as a member of the sum beside ``classes`` others.
-
-    Each of M patterns has 1/M of the prior odds of one effect, and an amplitude with the prior of a strength of `STRENGTH`
-    sigmas: ``ln B = g/2 S^2/(1 + S^2) - ln(1 + S^2)/2`` where chi2 falls by g at most.
-    """
-    from scipy.special import logsumexp
-
-    gains = np.array([along**2 / square for along, square in _scored(problem, frame).values()])
-    if not gains.size:
-        return 0.0
-    share = STRENGTH**2 / (1 + STRENGTH**2)
-    log_odds = logsumexp(share * gains / 2) - np.log1p(STRENGTH**2) / 2 - np.log(gains.size * max(classes, 1))
-    return float(np.exp(min(log_odds, 700.0)))
-
-
-def family_excess(problem: Problem, residual: Float, *, alpha: float = 0.01, second: Second | None = None) -> list[str]:
-    """Families whose residual scatters more than its covariance, after allowing 10 % in sigma.
-
-    With ``second``, both sessions together must show it, unless it is beyond doubt here.
-    """
-    from scipy.stats import chi2
-
-    here = _family_squares(problem, residual)
-    there = _family_squares(second.problem, second.residual) if second is not None else {}
-    out = []
-    for family, (total, n) in here.items():
-        p = float(chi2.sf(total / ALLOWED, n)) * len(here)
-        if p >= alpha:
-            continue
-        more, m = there.get(family, (0.0, 0))
-        if m and p > SURE and chi2.sf((total + more) / ALLOWED, n + m) * len(here) >= alpha:
-            continue
-        out.append(f"{family} scatters {np.sqrt(total / n):.2f} times as much as its sigma says ({n} values)")
-    return out
-
-
-def _family_squares(problem: Problem, residual: Float) -> dict[str, tuple[float, int]]:
-    """Mean-square sum of whitened residuals and number of rows per family."""
-    metrics = problem.predictor.table.metrics
-    families = np.array([metrics[i].family for i in problem.keep])
-    out: dict[str, tuple[float, int]] = {}
-    for family in dict.fromkeys(families):
-        rows = problem.keep[families == family]
-        out[str(family)] = (gaussian.square(residual[rows], problem.covariance[np.ix_(rows, rows)]), rows.size)
     return out
 
 
@@ -244,15 +178,3 @@ def pulled(fits: Sequence[tuple[str, Fit]], *, alpha: float = 0.01, doubted: Seq
                 f"{f.label} stands {pull:+.1f} prior sigmas off ({value:.3g}{unit}, {words}): the prior, or what it answers for"
             )
     return out
-
-
-def misfit(words: str, problem: Problem, fit: Fit, *, alpha: float = 0.01) -> list[str]:
-    """Whether captures as a whole scatter more about a model than their sigma says, after allowing 10 %."""
-    from scipy.stats import chi2
-
-    n = problem.keep.size
-    pulls = prior_weights(fit.free) * (fit.values - np.array([f.center for f in fit.free]))
-    total = float(fit.z @ fit.z + pulls @ pulls)
-    if chi2.sf(total / ALLOWED, n) >= alpha:
-        return []
-    return [f"{words} scatter {np.sqrt(total / n):.2f} times as much as their sigma says ({n} values)"]

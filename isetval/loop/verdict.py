@@ -14,30 +14,37 @@ from isetval.loop.candidates import Doubt, Signature
 from isetval.loop.comparison import captures_of, ladder_rows
 from isetval.loop.evidence import CLOSE_LOG_ODDS, least_chi2
 from isetval.loop.form_curve import curve_of
-from isetval.loop.investigation import Investigation, named_model, second_session
+from isetval.loop.investigation import Investigation, named_model
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
-from isetval.loop.result import Diagnosis, NamedEffect, NamedParameter
+from isetval.loop.result import CandidateRow, Diagnosis, NamedEffect, NamedParameter
 from isetval.loop.score_test import cosine
-from isetval.loop.unknown import Finding, family_excess, misfit, pulled
+from isetval.loop.telling import Deadline
+from isetval.loop.unknown import pulled
+from isetval.loop.unknown_evidence import Unknown
+from isetval.loop.unknown_members import Beside, with_unknown
 
 Float = NDArray[np.float64]
 Say = Callable[[str], None]
+FLAGGED_BESIDE, FLAGGED_ALONE = 0.5, 0.95
+"""Probability of something unknown from which on it is said: a name claims to be the whole story while that is likelier than
+not; where nothing is named it is an alarm, which needs the 19 to 1 that names need (under a true model the evidence of
+something unknown has the mean 1: it passes 133, which the prior odds of 1 to 7 ask for, in less than 1 % of cases)."""
+TOLD = 0.8  # share of the evidence of something unknown that its kinds are told up to
+MAX_TOLD = 5
+ALPHA = 0.01  # false alarms in a true model, all candidates or all unknowns of the laboratory together
 SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
 
-def account_of(
-    case: Investigation, gate: Mapping[str, Any], leftovers: list[Finding], *, alpha: float, say: Say, more: bool
-) -> Diagnosis:
+def account_of(case: Investigation, gate: Mapping[str, Any], *, say: Say, more: bool) -> Diagnosis:
     """Everything that an investigation found; ``more`` also searches the next captures."""
     prepared, held = case.prepared, case.held
     nominal = prepared.model
+    say("weighing what is left over")
+    beside = with_unknown(case)
     like = _likenesses(case)
-    model, effects = _model_with(case, like)
-    excess = family_excess(case.problem, case.fitted.residual, alpha=alpha, second=second_session(case)) + _against_priors(
-        case, alpha
-    )
-    words = [f.words for f in leftovers] + excess
+    model, effects = _model_with(case, like, beside)
+    words = _words_left(case, beside) + _against_priors(case)
     say("drawing the ladder")
     models = [nominal] if model is nominal else [nominal, model]
     ladder = tuple(ladder_rows(prepared, models))
@@ -49,9 +56,9 @@ def account_of(
         say("searching captures that tell the closest candidates apart")
     captures = tuple(next_captures(*prepared.settled(nominal), _pairs(case, like))) if more and effects else ()
     return Diagnosis(
-        verdict=_verdict(like, bool(leftovers or excess), confirm),
+        verdict=_verdict(like, bool(words), confirm),
         effects=tuple(effects),
-        candidates=tuple(sorted(case.rows, key=lambda row: row.p_corrected)),
+        candidates=_candidate_rows(case, beside),
         unobservable=case.unobservable,
         next_captures=captures,
         leftover="; ".join(words) or None,
@@ -61,15 +68,71 @@ def account_of(
         model=model,
         notes=(*prepared.table.notes, *case.remarks),
         holdout_gain=confirm,
-        probabilities=_probabilities(case),
-        settings={"alpha": alpha, "replicas": case.problem.base.replicas, "metrics": int(case.problem.keep.size)},
+        probabilities=_probabilities(beside),
+        settings=_settings(case),
     )
 
 
-def _probabilities(case: Investigation) -> dict[str, float]:
-    """That nothing is missing, and that something of no known shape is, beside what stands."""
-    known = 1 / (1 + case.unknown)
-    return {"nothing": case.table.nothing * known, "unknown": 1 - known}
+def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadline, *, unfitted: Sequence[str]) -> Diagnosis:
+    """The best statement of an investigation whose time is over; nothing is simulated any more.
+
+    Neither the hold-out nor what its fit would leave is asked: a name has the probability that the captures used give it.
+    """
+    beside = with_unknown(case, ask_holdout=False)
+    like = _likenesses(case)
+    model, effects = _model_with(case, like, beside)
+    not_fitted = [f"effects that may be missing and were not fitted in full: {', '.join(unfitted)}"] if unfitted else []
+    return Diagnosis(
+        verdict="unfinished",
+        effects=tuple(effects),
+        candidates=_candidate_rows(case, beside),
+        unobservable=case.unobservable,
+        next_captures=(),
+        leftover="; ".join(_words_left(case, beside)) or None,
+        ladder=(),
+        gate=gate,
+        nominal=case.prepared.model,
+        model=model,
+        notes=(*case.prepared.table.notes, *case.remarks),
+        probabilities=_probabilities(beside),
+        settings=_settings(case),
+        not_looked_at=(
+            f"all that comes after {watch.limit_s:g} s: stopped while {watch.words}",
+            *not_fitted,
+            *(["what the hold-out says of it"] if case.held is not None else []),
+            "the ladder, and captures to take next",
+        ),
+    )
+
+
+def _candidate_rows(case: Investigation, beside: Beside) -> tuple[CandidateRow, ...]:
+    rows = [replace(row, posterior=beside.table.of(row.name)) if row.observable else row for row in case.rows]
+    return tuple(sorted(rows, key=lambda row: row.p_corrected))
+
+
+def _probabilities(beside: Beside) -> dict[str, float]:
+    return {"nothing": beside.table.nothing, "unknown": beside.table.unknown}
+
+
+def _settings(case: Investigation) -> dict[str, Any]:
+    return {"alpha": ALPHA, "replicas": case.problem.base.replicas, "metrics": int(case.problem.keep.size)}
+
+
+def _words_left(case: Investigation, beside: Beside) -> list[str]:
+    """What is left over beside what is named; nothing where that is less likely than `FLAGGED_BESIDE` or `FLAGGED_ALONE`."""
+    flagged = beside.table.unknown > (FLAGGED_BESIDE if case.standing.effects else FLAGGED_ALONE)
+    return _words_of(beside.unknown) if flagged else []
+
+
+def _words_of(unknown: Unknown) -> list[str]:
+    """The kinds of something unknown that hold `TOLD` of its evidence, in words, each with where it shows."""
+    told, share = [], 0.0
+    for (words, where), part in unknown.likeliest()[:MAX_TOLD]:
+        told.append(f"{words} ({where})")
+        share += part
+        if share > TOLD:
+            break
+    return told
 
 
 @dataclass(frozen=True)
@@ -127,7 +190,7 @@ def _pairs(case: Investigation, like: Mapping[str, Likeness]) -> list[tuple[Sign
     return out
 
 
-def _model_with(case: Investigation, like: Mapping[str, Likeness]) -> tuple[CameraModel, list[NamedEffect]]:
+def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Beside) -> tuple[CameraModel, list[NamedEffect]]:
     """The nominal model with the named effects at their fitted values, and their description."""
     model, effects = case.prepared.model, []
     for candidate in case.standing.effects:
@@ -142,7 +205,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness]) -> tuple[Came
         }
         others = like[candidate.name].names
         alike = {candidate.klass, *others}
-        chance, low, high = case.table.of_class(*(c.name for c in case.candidates if c.klass in alike))
+        chance, low, high = beside.table.of_class(*(c.name for c in case.candidates if c.klass in alike))
         effects.append(
             NamedEffect(
                 candidate.klass,
@@ -168,16 +231,13 @@ def _fall_of_chi2(case: Investigation, name: str) -> float:
     return least_chi2(without.fitted) - least_chi2(case.fitted) if without is not None else 0.0
 
 
-def _against_priors(case: Investigation, alpha: float) -> list[str]:
-    """Pulls of the laboratory's unknowns that are too long, and a hold-out that does not fit, under the named model."""
+def _against_priors(case: Investigation) -> list[str]:
+    """Pulls of the laboratory's unknowns that are too long under the named model."""
     fits = [("the captures used", case.fitted)]
-    words: list[str] = []
     if case.held is not None:
-        problem, fitted = case.held.settled(named_model(case.prepared.model, case.standing))
+        _, fitted = case.held.settled(named_model(case.prepared.model, case.standing))
         fits.append(("the hold-out", fitted))
-        words = misfit("the metrics of the hold-out", problem, fitted, alpha=alpha)
-    doubted = [m.parameter.label for m in case.standing.members if isinstance(m, Doubt)]
-    return pulled(fits, alpha=alpha, doubted=doubted) + words
+    return pulled(fits, alpha=ALPHA, doubted=[m.parameter.label for m in case.standing.members if isinstance(m, Doubt)])
 
 
 def _captures(case: Investigation) -> tuple[str, ...]:

@@ -69,6 +69,9 @@ def test_an_answer_that_did_not_come_is_wrong_and_says_why():
     row = _row("single", ["a"], "attributed", []) | {"answer": None, "error": "not done within 3 s"}
     assert not judged(row)["right"]
     assert judged(row)["why"] == "not done within 3 s"
+    stopped = _row("single", ["a"], "unfinished", [("a", 0.98, ())])
+    stopped["answer"]["not_looked_at"] = ["all that comes after 3 s"]
+    assert (judged(stopped)["outcome"], judged(stopped)["why"]) == ("no answer", "all that comes after 3 s")
     found = summary([(row, judged(row))])
     detection = next(t for t in found["targets"] if t["what"] == "detection at s = 8")
     assert (detection["k"], detection["n"]) == (0, 1)
@@ -108,6 +111,7 @@ def test_a_run_is_taken_up_where_it_stopped(tmp_path, capsys):
     assert hidden_effects.main(words) == 0
     first = (tmp_path / "rows.jsonl").read_text()
     assert json.loads(first)["error"] == "not done within 0.3 s"
+    assert len(json.loads(first)["commit"].rstrip("+")) == 12
     with pytest.raises(SystemExit, match="--resume"):
         hidden_effects.main(words)
     (tmp_path / "rows.jsonl").write_text(first + '{"id": "half')

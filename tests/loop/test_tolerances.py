@@ -15,7 +15,7 @@ from isetval.loop.fit import fit, nuisance_parameters
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame, score
-from isetval.loop.unknown import misfit, pulled
+from isetval.loop.unknown import pulled
 
 KEY = "dark_current.rate_e_per_s"
 LABEL = f"{KEY}@campaign:"
@@ -85,12 +85,11 @@ def test_the_named_effect_takes_the_whole_offset(case):
 
 
 def test_a_pull_beyond_what_all_allow_is_told(case):
-    problem, fitted, *_ = case
+    _, fitted, *_ = case
     (words,) = pulled([("the captures used", fitted)])
     assert KEY in words
     assert "+10.0 prior sigmas" in words
     assert not pulled([("the captures used", fitted)], alpha=1e-30)
-    assert misfit("the metrics", problem, fitted)  # 100 on 12 values
 
 
 def test_a_tolerance_of_a_camera_parameter_ends_where_the_parameter_does():

@@ -47,6 +47,12 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("model", metavar="MODEL")
     p.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and captures, or a curve (--as)")
     p.add_argument("--holdout", metavar="CAMPAIGN", help="captures to confirm on (default: the second measurement session)")
+    p.add_argument(
+        "--limit-s",
+        metavar="SECONDS",
+        type=positive_seconds,
+        help="stop the search then and say what is best so far (default: an hour)",
+    )
     curve_options(p)
     p.set_defaults(handler=diagnose, writes_result=True)
     _register_add(commands, common)
@@ -87,6 +93,17 @@ def positive(text: str) -> int:
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is no number of processes; write 1 or more")
     return int(text)
+
+
+def positive_seconds(text: str) -> float:
+    """A time above 0."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is no time; write seconds above 0")
+    return seconds
 
 
 def default_jobs() -> int:
@@ -233,7 +250,8 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
 
     model, campaign, inputs = load_both(args.model, args.campaign, args)
     holdout = shots_of(model, args.holdout, args) if args.holdout else None
-    found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say, progress=console.progress)
+    limit = {} if args.limit_s is None else {"limit_s": args.limit_s}
+    found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say, progress=console.progress, **limit)
     inputs |= campaign.captures.hashes
     inputs |= input_hashes(holdout) if holdout is not None else {}
     result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}

@@ -13,7 +13,7 @@ FITTED = {
     "calibration": "an effect of one of these models was fitted to these captures",
 }
 
-CHANCES = {"nothing": "nothing is missing", "unknown": "something of no known shape is left"}
+CHANCES = {"nothing": "nothing is missing", "unknown": "something is at work that the catalogue does not hold"}
 
 
 def gate_line(gate: Mapping[str, Any]) -> str:
@@ -142,6 +142,8 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
         lines.append(f"  probability that {said}")
     if result["leftover"]:
         lines.append(f"  left over: {result['leftover']}")
+    if result.get("not_looked_at"):
+        lines.append(f"  not looked at: {'; '.join(result['not_looked_at'])}")
     lines += _candidate_lines(result["candidates"])
     lines += ["", f"not observable with these captures: {', '.join(result['unobservable']) or 'none'}"]
     lines += next_lines(result["next_captures"])

@@ -31,6 +31,7 @@ TONE = {
     "partial": "open",
     "unexplained": "bad",
     "gate_failed": "bad",
+    "unfinished": "open",
 }
 
 

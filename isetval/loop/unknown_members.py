@@ -1,0 +1,84 @@
+"""Members of the sum that hold something unknown: beside each hypothesis that was fitted, and in the place of its effects.
+
+Prior odds: something unknown is at work with `ODDS_OF_UNKNOWN`.  Beside a hypothesis it is any pattern or scatter; or it looks
+like an effect of the catalogue, each as likely as the effect itself is, but for a pattern by which it differs.  A name is thus
+as sure as what remains is quiet: where a pattern is left over, an effect with something beside it and a stranger that looks
+like the effect are the same data; and what is too weak to show by what it would differ is no surer than the prior odds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.loop.evidence import Hypothesis, least_chi2, linear_model
+from isetval.loop.fit import Fit
+from isetval.loop.investigation import Investigation, named_model
+from isetval.loop.posterior import UNKNOWN, Posterior, like
+from isetval.loop.problem import Problem
+from isetval.loop.subset_sum import weigh
+from isetval.loop.unknown import patterns_of
+from isetval.loop.unknown_evidence import Left, Patterns, Unknown, left_by
+
+Float = NDArray[np.float64]
+ODDS_OF_UNKNOWN = 1 / 7  # against all effects of the catalogue: of 62 that it held, other models were found to hold 9 more
+DIFFERS = 2.0 ** np.arange(-5, 0)  # of its length, by which what looks like an effect differs from it: 3 to 50 %, each as likely
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """The sum with something unknown in it, and what that would be beside the hypothesis that stands."""
+
+    table: Posterior
+    unknown: Unknown
+
+
+def with_unknown(case: Investigation, *, ask_holdout: bool = True) -> Beside:
+    """The sum of an investigation with something unknown beside every hypothesis that was fitted, and in place of its effects.
+
+    What the hold-out says of the unknown is asked of the hypothesis that stands, and holds for all of them: as with what it
+    says of hypotheses (`Investigation.told`).
+    """
+    here = patterns_of(case.problem)
+    there = _held_out(case) if ask_holdout else {}
+    stands = _left(case.problem, case.fitted, here)
+    unknown = Unknown.of(stands, there)
+    only_here = Unknown.of(stands, {}).log_evidence()
+    told = unknown.log_evidence() - only_here
+    logs, freed = dict(case.table.logs), dict(case.table.freed)
+    for names, found in case.known.items():
+        if names not in logs:
+            continue
+        beside = unknown if names == case.standing.names else Unknown.of(_left(case.problem, found.fitted, here), {})
+        more = 0.0 if beside is unknown else told
+        base = case.score(found) + float(np.log(ODDS_OF_UNKNOWN)) + more
+        logs[names | {UNKNOWN}] = base + beside.log_evidence()
+        freed[names | {UNKNOWN}] = freed[names]
+        for member in found.effects:
+            replaced = (names - {member.name}) | {like(member.name)}
+            logs[replaced] = base + beside.log_evidence(DIFFERS * _strength(case, found, member.name))
+            freed[replaced] = freed[names]
+    return Beside(Posterior(logs, freed), unknown)
+
+
+def _left(problem: Problem, fitted: Fit, patterns: Patterns) -> dict[str, Left]:
+    model = linear_model(problem, fitted)
+    return left_by(model, weigh(model, ()).scales, patterns)
+
+
+def _held_out(case: Investigation) -> dict[str, Left]:
+    """What the hypothesis that stands leaves in the hold-out, whose own unknowns are free."""
+    if case.held is None:
+        return {}
+    problem, fitted = case.held.settled(named_model(case.prepared.model, case.standing))
+    return _left(problem, fitted, patterns_of(problem))
+
+
+def _strength(case: Investigation, found: Hypothesis, name: str) -> float:
+    """Sigmas with which an effect shows beside the others of a hypothesis; without a fit of those alone, beside nothing."""
+    rest = case.known.get(found.names - {name})
+    if rest is not None:
+        return float(np.sqrt(max(least_chi2(rest.fitted) - least_chi2(found.fitted), 0.0)))
+    return float(np.sqrt(max((row.dchi2 for row in case.rows if row.name == name), default=0.0)))

@@ -1,0 +1,168 @@
+"""The evidence of something unknown against closed forms, and how sure it lets a name be."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from test_subset_sum import SURE_SCALES, model, term
+
+from isetval.loop.posterior import UNKNOWN, Posterior, like
+from isetval.loop.subset_sum import weigh
+from isetval.loop.unknown_evidence import AMPLITUDES, BOTH, HERE, THERE, Patterns, Unknown, left_by, log_mixture
+from isetval.loop.unknown_members import DIFFERS, ODDS_OF_UNKNOWN
+
+ROWS = 60
+RNG = np.random.default_rng(1)
+
+
+def patterns(columns, words=None, family="f"):
+    columns = np.asarray(columns, float).reshape(len(columns), -1)
+    words = words or tuple(f"pattern {i}" for i in range(columns.shape[1]))
+    return Patterns(tuple(words), np.array([family] * columns.shape[1]), columns)
+
+
+def left(z, columns, nuisances=None, **more):
+    linear = model(z, [], nuisances, **more)
+    return left_by(linear, weigh(linear, ()).scales, patterns(columns))
+
+
+def test_one_pattern_has_the_normal_density_of_the_data():
+    """y ~ N(0, 1 + N N' + a^2 t t'/l^2) for each amplitude a, l the length that the nuisances leave of t; their mean."""
+    nuisances, t, z = RNG.standard_normal((ROWS, 3)), RNG.standard_normal(ROWS), 2 * RNG.standard_normal(ROWS)
+    without = np.eye(ROWS) + nuisances @ nuisances.T
+    length2 = t @ np.linalg.solve(without, t)
+    logs = [multivariate_normal.logpdf(z, cov=without + a**2 * np.outer(t, t) / length2) for a in AMPLITUDES]
+    expected = np.log(np.mean(np.exp(np.array(logs) - multivariate_normal.logpdf(z, cov=without))))
+    found = left(z, t[:, None], nuisances, dof=SURE_SCALES)["pattern 0"]
+    assert log_mixture(np.array([found.along**2 / found.square]), np.ones(1))[0] == pytest.approx(expected, abs=1e-5)
+    assert found.lift == pytest.approx(0.0, abs=1e-3)
+
+
+def test_scatter_of_a_family_has_the_normal_density_of_the_data():
+    z = 3 * RNG.standard_normal(ROWS)
+    logs = [multivariate_normal.logpdf(z, cov=(1 + a**2) * np.eye(ROWS)) for a in AMPLITUDES]
+    expected = np.log(np.mean(np.exp(np.array(logs) - max(logs)))) + max(logs) - multivariate_normal.logpdf(z, cov=np.eye(ROWS))
+    found = left(z, np.ones((ROWS, 1)), dof=SURE_SCALES)["f scatters more than stated"]
+    assert log_mixture(np.array([found.along]), np.array([found.number]))[0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_with_a_scale_of_its_own_the_family_is_weighed_from_one_again():
+    """Evidence of a pattern beside a family of uncertain scale: relative to the hypothesis with that scale."""
+    z = 2.0 * RNG.standard_normal(ROWS)
+    linear = model(z, [], dof=50.0)
+    own = weigh(linear, ())
+    assert own.scales[0] > 2
+    found = left_by(linear, own.scales, patterns(np.ones((ROWS, 1))))["pattern 0"]
+    assert found.along == pytest.approx(z.sum())
+    lost = -0.5 * z @ z * (1 - 1 / own.scales[0]) + 0.5 * (ROWS + 50) * np.log(own.scales[0]) + 25 * (1 / own.scales[0] - 1)
+    assert found.lift == pytest.approx(lost, rel=1e-6)
+
+
+def test_under_a_true_model_its_mean_is_one():
+    """Whatever the data: by Markov it passes 133 in less than one of 133 campaigns."""
+    t = RNG.standard_normal((ROWS, 30))
+    found = []
+    for _ in range(500):
+        here, there = (left(RNG.standard_normal(ROWS), t, dof=SURE_SCALES) for _ in range(2))
+        found.append(np.exp(Unknown.of(here, there).log_evidence()))
+    assert np.mean(np.array(found) > 133) < 1 / 133
+    # the mean rests on rare large values: what lies below 133 stays below one
+    assert np.mean(np.minimum(found, 133)) < 1.0
+
+
+def test_both_sessions_speak_of_one_pattern():
+    t = np.zeros((ROWS, 2))
+    t[0, 0] = t[1, 1] = 1.0
+    same, other = np.zeros(ROWS), np.zeros(ROWS)
+    same[0], other[0] = 5.0, -5.0
+    agree = Unknown.of(left(same, t, dof=SURE_SCALES), left(same, t, dof=SURE_SCALES))
+    deny = Unknown.of(left(same, t, dof=SURE_SCALES), left(other, t, dof=SURE_SCALES))
+    assert agree.likeliest()[0][0] == ("pattern 0", BOTH)
+    assert {where for (_, where), share in deny.likeliest()[:2]} == {HERE, THERE}
+    assert agree.log_evidence() > deny.log_evidence() + 10
+
+
+@pytest.fixture
+def investigated(monkeypatch):
+    """The sum of an investigation of one effect in `ROWS` rows, given what the data are."""
+    import isetval.loop.unknown_members as members
+
+    column = np.eye(ROWS)[0]
+    shapes = patterns(np.eye(ROWS)[:, 1:31])
+    monkeypatch.setattr(members, "patterns_of", lambda problem: shapes)
+    monkeypatch.setattr(members, "linear_model", lambda problem, fitted: fitted)
+    monkeypatch.setattr(members, "_strength", lambda case, found, name: case.strength)
+
+    def of(z, classes=40, tau=30.0):
+        nothing = model(z, [], dof=SURE_SCALES)
+        own = term("k", column, tau)
+        named = model(z, [], tau * column[:, None], dof=SURE_SCALES)
+        hypotheses = {
+            frozenset(): SimpleNamespace(names=frozenset(), effects=(), fitted=nothing, score=weigh(nothing, ()).log_evidence),
+            frozenset({"k"}): SimpleNamespace(
+                names=frozenset({"k"}),
+                effects=(own,),
+                fitted=named,
+                score=weigh(named, ()).log_evidence - np.log(classes),
+            ),
+        }
+        standing = hypotheses[frozenset({"k"})]
+        table = Posterior({names: h.score for names, h in hypotheses.items()}, dict.fromkeys(hypotheses, 1))
+        case = SimpleNamespace(
+            problem=None, held=None, known=hypotheses, standing=standing, fitted=named, table=table, score=lambda h: h.score,
+            strength=abs(z[0]),
+        )  # fmt: skip
+        return members.with_unknown(case)
+
+    return of
+
+
+def quiet(strength):
+    """An effect of so many sigmas and residuals as a true model leaves them (fixed quantiles, no draw)."""
+    from scipy.stats import norm
+
+    z = RNG.permutation(norm.ppf((np.arange(ROWS) + 0.5) / ROWS))
+    z[0] = strength
+    return z
+
+
+def test_a_name_is_as_sure_as_its_strength_lets_one_see_that_nothing_differs(investigated):
+    """Beside 60 quiet rows: a weak one may be a stranger by the prior odds, a strong one would have shown by what it differs."""
+    chance = {s: investigated(quiet(s)).table.of("k") for s in (6.0, 15.0, 100.0)}
+    assert 0.8 < chance[6.0] < 0.95
+    assert chance[6.0] < chance[15.0] < chance[100.0]
+    # 3 to 50 sigmas by which it would differ, each as likely, and none seen: the Occam factors' mean
+    differs = np.mean(1 / np.sqrt(1 + (100 * DIFFERS) ** 2))
+    assert chance[100.0] == pytest.approx(1 / (1 + ODDS_OF_UNKNOWN * differs), abs=0.005)
+
+
+@pytest.mark.parametrize("strength", [10.0, 50.0])
+def test_what_a_name_leaves_makes_it_as_likely_as_a_stranger_that_looks_like_it(investigated, strength):
+    """A pattern of half its length left over: an effect with something beside it, or a stranger; the data cannot say."""
+    z = quiet(strength)
+    z[5] = strength / 2
+    found = investigated(z)
+    assert found.table.unknown > 0.9
+    assert found.table.of("k") == pytest.approx(0.5, abs=0.2)
+    names = {frozenset({"k", UNKNOWN}), frozenset({like("k")})}
+    assert sum(found.table.probabilities()[n] for n in names) > 0.9
+    assert found.unknown.likeliest()[0][0] == ("pattern 4", HERE)
+
+
+def test_scatter_that_is_left_over_counts_too(investigated):
+    z = quiet(20.0)
+    z[1:] *= 2.0
+    found = investigated(z)
+    assert found.table.unknown > 0.9
+    assert found.unknown.likeliest()[0][0] == ("f scatters more than stated", HERE)
+
+
+def test_an_unknown_alone_is_a_member(investigated):
+    """No effect, one strong pattern: the sum says so, and that the effect is not there."""
+    z = quiet(0.5)
+    z[7] = 12.0
+    found = investigated(z)
+    assert found.table.probabilities()[frozenset({UNKNOWN})] > 0.9
+    assert found.table.of("k") < 0.1
+    assert found.table.nothing < 1e-6
