@@ -238,6 +238,9 @@ class Scene:
         where the camera looks into it (flats).
     light : Spectrum or None
         The light's own table: reflectances are averaged over the bands with its weight.
+    lamp_factor : float or (bands,)
+        What the shot's level and the nuisances of its spectrum multiply a light with; in ``white`` already.  A rendered scene's
+        own lamp takes it where the shot names no light.
     target : Target or None
         None is a uniform field.
     tilt : (x, y)
@@ -249,7 +252,7 @@ class Scene:
     target_bow : (xx, yy, xy)
         Relative rise of the target's brightness with the squares and the product of both, 1 at the border.
     target_shift_px : (x, y)
-        Shift of a chart's picture to higher columns and rows.
+        Shift of the picture of a chart or a rendered scene to higher columns and rows.
     surround : float
         Reflectance added to all that lies around patches and edges.
     black : float
@@ -267,6 +270,7 @@ class Scene:
     wavelength_nm: Float
     white: Float
     light: Spectrum | None = None
+    lamp_factor: Float | float = 1.0
     target: Target | None = None
     tilt: tuple[float, float] = (0.0, 0.0)
     radial: float = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.scene import Spectrum, band_limited, narrow_band
 from isetval.core.sensor import RoiLike, Sensor, Window, pattern_at
-from isetval.files.draft_types import DraftLight, DraftShot, DraftTarget, Seen
+from isetval.files.draft_types import DraftLight, DraftPrior, DraftShot, DraftTarget, Seen
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_words import PUBLISHED
 from isetval.files.light_levels import dark_levels, green_dn, green_rate, known_exposure, lit_setups, scale_for
@@ -48,6 +48,7 @@ class Drafting:
     made: dict[int, list[str]] = field(default_factory=dict)
     rates: dict[str, float] = field(default_factory=dict)
     tilts: list[float | None] = field(default_factory=list)
+    priors: list[DraftPrior] = field(default_factory=list)
 
     def add(self, index: int, shot: DraftShot) -> None:
         """One more shot, made of the group with this number."""
@@ -75,13 +76,16 @@ def drafted(
     model: CameraModel | None,
     spectra: Mapping[str, Spectrum],
     folder_spectra: FolderSpectra | None = None,
+    *,
+    without: Collection[str] = (),
 ) -> Drafting:
-    """All shots of a folder that a campaign can hold; ``folder_spectra`` are the tables that lie in it."""
+    """All shots of a folder that a campaign can hold, but those of roles ``without``; ``folder_spectra`` are its tables."""
     work = Drafting(sensor, model, spectra, folder_spectra or FolderSpectra(), seen)
     number = {id(one.group): i for i, one in enumerate(seen)}
     by_role: dict[str, list[ShotGroup]] = {}
     for one in seen:
-        by_role.setdefault(one.content.role, []).append(one.group)
+        if one.content.role not in without:
+            by_role.setdefault(one.content.role, []).append(one.group)
     darks = by_role.get("dark", [])
     for group in darks:
         _add_plain(work, number[id(group)], group, "dark", f"{group.session} {group.first.place or 'darks'}")
@@ -107,7 +111,8 @@ def _setup(group: ShotGroup) -> str:
     return f"{group.session} {fact.place or fact.file}{light}"
 
 
-def _name(work: Drafting, role: str) -> str:
+def shot_name(work: Drafting, role: str) -> str:
+    """The next free name of a shot of this role."""
     return f"{role}_{1 + sum(shot.role == role for shot in work.shots):02d}"
 
 
@@ -137,7 +142,7 @@ def _add_plain(
     window = placed(group.first, work.sensor)
     for part in _parts(window, role, work.sensor):
         comment = work.seen[index].content.why
-        work.add(index, DraftShot(_name(work, role), role, group, part, setup, comment, light, level))
+        work.add(index, DraftShot(shot_name(work, role), role, group, part, setup, comment, light, level))
 
 
 def _add_light(work: Drafting, name: str, group: ShotGroup, white_dn: float, channel: str = "G") -> DraftLight:
@@ -180,15 +185,15 @@ def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[fl
         if bright > white:  # brighter than a perfect white in the reference light: more light than that
             level, white = bright / BRIGHT / white, bright / BRIGHT
         _add_light(work, light, group, white / level)
-        part, moved = _cut(window, edge.roi, work.sensor)
-        name = _name(work, "edge")
+        part, moved = cut(window, edge.roi, work.sensor)
+        name = shot_name(work, "edge")
         source = "the flats of its light" if light in work.rates else f"a bright side taken for {BRIGHT}"
         comment = f"pose found to {edge.sigma_px:.3f} px; both reflectances are read off the picture, by {source}"
         work.targets.append(_edge_target(name, edge, part, window, moved, (low / white, bright / white), comment))
         work.add(index, DraftShot(name, "edge", group, part, setup, work.seen[index].content.why, light, level, name))
 
 
-def _cut(window: Window, roi: RoiLike, sensor: Sensor) -> tuple[Window, tuple[int, int]]:
+def cut(window: Window, roi: RoiLike, sensor: Sensor) -> tuple[Window, tuple[int, int]]:
     """The part of a large frame around a region, and the part's first pixel in the frame."""
     if not _is_large(window, sensor):
         return window, (0, 0)
@@ -232,7 +237,7 @@ def _add_charts(work: Drafting, groups: Sequence[ShotGroup], number: Mapping[int
         poses = [(work.seen[number[id(group)]].content.chart, group) for group in own]
         channel = _brightest_channel(poses) if own[0].first.wavelength_nm else 1
         for setup in dict.fromkeys(map(_setup, own)):
-            exposures = [(_white_dn(pose, channel), g) for pose, g in poses if _setup(g) == setup]
+            exposures = [(white_dn(pose, channel), g) for pose, g in poses if _setup(g) == setup]
             clear = [e for e in exposures if e[0] < WHITE_CLIPS * e[1].first.span_dn] or [min(exposures, key=lambda e: e[0])]
             best = max(clear, key=lambda e: e[0])
             white[setup] = (best[0] / _light_time(best[1]), best[1])
@@ -254,9 +259,9 @@ def _add_chart(work: Drafting, index: int, group: ShotGroup, light: str, level: 
     rows, cols = (np.array([box[k] for box in chart.boxes]) for k in (slice(0, 2), slice(2, 4)))
     pitch = int(np.median(rows[:, 1] - rows[:, 0]))
     outline = (max(0, int(rows.min()) - pitch), int(rows.max()) + pitch, max(0, int(cols.min()) - pitch), int(cols.max()) + pitch)
-    part, moved = _cut(window, outline, work.sensor)
+    part, moved = cut(window, outline, work.sensor)
     target = _chart_target(work, chart, moved)
-    name = _name(work, "chart")
+    name = shot_name(work, "chart")
     pose = f", turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane" if not chart.disks else ""
     comment = work.seen[index].content.why + pose
     work.add(index, DraftShot(name, "chart", group, part, _setup(group), comment, light, level, target))
@@ -315,14 +320,14 @@ def _light_time(group: ShotGroup) -> float:
     return (group.first.exposure.time_s or 1.0) * (group.first.exposure.iso or 100.0) / 100.0
 
 
-def _white_dn(chart: ChartPose | None, channel: int) -> float:
+def white_dn(chart: ChartPose | None, channel: int) -> float:
     """Level of the white patch above black."""
     return 0.0 if chart is None else float(chart.levels_dn[chart.white, channel])
 
 
 def _brightest_channel(poses: Sequence[tuple[ChartPose | None, ShotGroup]]) -> int:
     """0 to 2 for R, G, B: the one in which a narrow band is brightest, by the longest exposure that leaves all of them open."""
-    white = [np.array([_white_dn(pose, k) for k in range(3)]) for pose, _ in poses]
+    white = [np.array([white_dn(pose, k) for k in range(3)]) for pose, _ in poses]
     clear = [w for w, (_, g) in zip(white, poses, strict=True) if w.max() < WHITE_CLIPS * g.first.span_dn]
     return int(np.argmax(max(clear or white, key=lambda w: float(w.max()) if clear else -float(w.max()))))
 

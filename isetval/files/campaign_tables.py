@@ -18,6 +18,7 @@ from isetval.core.campaign import Light, Nuisance, Shot
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target
 from isetval.core.toml import PACKAGE_PREFIX, inside, named_path, read_toml
 from isetval.core.writing import write_whole
+from isetval.files.target_file import POSED
 from isetval.scenes.rendered.scene_file import files_beside
 
 FLAT_NM = 550.0
@@ -189,10 +190,22 @@ def _scene(target: RenderedTarget, spectra: Spectra) -> dict[str, Any]:
         entry = tomlkit.inline_table()
         entry.update({"name": label, "from": [row0, col0], "to": [row1, col1]})
         lines.add_line(entry)
-    table: dict[str, Any] = {"kind": "scene", "file": _scene_file(target, spectra)}
+    table: dict[str, Any] = {"kind": "scene", "file": _scene_file(target, spectra)} | _posed(target.spec)
     if target.patches:
         table["patch"] = _patches(target.patches, target.name, spectra)
     return table | ({"line": lines} if target.lines else {})
+
+
+def _posed(spec: Mapping[str, Any]) -> dict[str, Any]:
+    """The camera that a target states in place of its scene file's first one."""
+    import tomlkit
+
+    named = spec.get("render", {}).get("camera")
+    if named != POSED or "file" not in spec:  # without a file the whole content is written, cameras and all
+        return {}
+    pose = tomlkit.inline_table()
+    pose.update(spec["camera"][POSED])
+    return {"camera": pose}
 
 
 def _scene_file(target: RenderedTarget, spectra: Spectra) -> str:

@@ -19,25 +19,29 @@ from isetval.core.writing import write_whole
 from isetval.files.campaign_drafting import Drafting, bracket_scatter, drafted
 from isetval.files.draft_priors import camera_words, light_priors, target_priors
 from isetval.files.draft_text import draft_text
-from isetval.files.draft_types import Draft, DraftLight, DraftPrior, Seen
+from isetval.files.draft_types import Draft, DraftLight, DraftPrior, DraftShot, Seen
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_reading import FolderFacts, read_folder
 from isetval.files.light_levels import dark_levels, lit_setups
 from isetval.files.recognition import recognize_all
+from isetval.files.scene_drafting import SCENE_TARGET, BuiltScene, add_scene_shot, read_built_scene
 from isetval.files.spectra_search import FolderSpectra, chart_reflectances, find_spectra
 from isetval.measure.color.chart_layout import PATCH_NAMES
 
 Progress = Callable[[str, int, int], None]
+SCENE_ROLES = ("chart", "edge")
 UNKNOWN_PITCH_UM = 1.0  # what a reader states where a file does not
 
 
-def draft_campaign(folder: Path | str, *, role: str | None = None, camera: str = "", progress: Progress | None = None) -> Draft:
+def draft_campaign(
+    folder: Path | str, *, role: str | None = None, camera: str = "", scene: str = "", progress: Progress | None = None
+) -> Draft:
     """The first of `draft_campaigns`: of a folder of one camera whose files have one size of pixels, the only one."""
-    return draft_campaigns(folder, role=role, camera=camera, progress=progress)[0]
+    return draft_campaigns(folder, role=role, camera=camera, scene=scene, progress=progress)[0]
 
 
 def draft_campaigns(
-    folder: Path | str, *, role: str | None = None, camera: str = "", progress: Progress | None = None
+    folder: Path | str, *, role: str | None = None, camera: str = "", scene: str = "", progress: Progress | None = None
 ) -> tuple[Draft, ...]:
     """Campaigns of the raw files of a folder, at all levels: one for each size of pixels.
 
@@ -48,6 +52,9 @@ def draft_campaigns(
         What all files show; default found out for each.
     camera : str, optional
         A camera model: a file in the folder, ``isetval:`` embedded data, or a file elsewhere, of which the sensor is copied.
+    scene : str, optional
+        The scene file (in the folder, or ``isetval:``) of what stands in the pictures of charts and edges: they become shots of
+        its rendering, seen from where the camera stood.
     progress : callable, optional
 
     Returns
@@ -64,11 +71,12 @@ def draft_campaigns(
     model, named = _camera(camera, folder)
     found = read_folder(folder, progress=progress).parts()
     spectra = find_spectra(folder)
+    built = read_built_scene(scene, folder) if scene else None
     drafts = []
     for number, part in enumerate(found, 1):
         try:
             models = (model, named or camera, named)
-            drafts.append(_draft(folder, part, role=role, models=models, spectra=spectra, progress=progress))
+            drafts.append(_draft(folder, part, role=role, models=models, spectra=spectra, built=built, progress=progress))
         except InputError as error:  # the first part stands for the folder; another that fails is told with it
             if number == 1:
                 raise
@@ -84,6 +92,7 @@ def _draft(
     role: str | None,
     models: tuple[CameraModel | None, str, str],
     spectra: FolderSpectra,
+    built: BuiltScene | None,
     progress: Progress | None,
 ) -> Draft:
     """The campaign of the files of one size of pixels."""
@@ -91,7 +100,9 @@ def _draft(
     seen = recognize_all(found, role=role, progress=progress)
     sensor = _sensor(found.facts, nominal, camera)
     model = None if nominal is None else nominal.sampled_as(sensor)
-    work = drafted(seen, sensor, model, read_spectra(data_folder() / "spectra" / "illuminants.csv"), spectra)
+    illuminants = read_spectra(data_folder() / "spectra" / "illuminants.csv")
+    work = drafted(seen, sensor, model, illuminants, spectra, without=() if built is None else SCENE_ROLES)
+    seen = seen if built is None else _with_scene(work, seen, built)
     used = tuple(replace(one, shots=tuple(work.made.get(i, ()))) for i, one in enumerate(seen))
     if not work.shots:
         raise InputError(f"{folder}: no file shows a dark, a flat, a chart or an edge; the first: {seen[0].content.why}")
@@ -112,6 +123,16 @@ def _draft(
         found.facts[0].camera,
         resampled=nominal is not None and sensor is not nominal.sensor,
     )
+
+
+def _with_scene(work: Drafting, seen: Sequence[Seen], built: BuiltScene) -> list[Seen]:
+    """Shots of the scene for all pictures of charts and edges; those without a pose keep the reason."""
+    out = list(seen)
+    for i, one in enumerate(seen):
+        why = add_scene_shot(work, i, one.group, built) if one.content.role in SCENE_ROLES else None
+        if why is not None:
+            out[i] = replace(one, content=replace(one.content, role="scene", why=why))
+    return out
 
 
 def write_draft(draft: Draft, folder: Path | str) -> Path:
@@ -168,7 +189,11 @@ def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:
     tilts = [tilt for tilt in work.tilts if tilt is not None]
     targets = target_priors(roles, tilt=max(tilts, default=None))
     lights = list(work.lights.values())
-    return (*light_priors(flats, setups, sorted(again), lights, roles, bracket_scatter(work)), *targets)
+    return (*light_priors(flats, setups, sorted(again), lights, roles, bracket_scatter(work)), *targets, *work.priors)
+
+
+def _of_scene(shot: DraftShot) -> bool:
+    return shot.target.startswith(SCENE_TARGET)
 
 
 def _spectrum_words(light: DraftLight) -> str:
@@ -190,7 +215,11 @@ def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], c
         needs = f"a CSV of its spectral radiance in W/(sr m2 nm), in place of radiance, column and scale. Now: {now}."
         without = "colour ratios carry its wide prior and tell little of filters and quantum efficiency."
         out.append((f"[light.{light.name}]", needs, without))
-    roles = {shot.role for shot in work.shots}
+    roles = {shot.role for shot in work.shots if not _of_scene(shot)}
+    if any(map(_of_scene, work.shots)):
+        needs = "the spectra of its lamp and papers in the scene file ([spectra.NAME])."
+        without = "isetval's own papers and lamp stand in; only the lamp's level is read off the white patch."
+        out.append(("[target.scene_*]", needs, without))
     if "chart" in roles and chart_reflectances(work.folder_spectra, PATCH_NAMES) is None:
         needs = 'the chart\'s own reflectances (reflectance = "chart.csv" with a column for each patch).'
         without = (

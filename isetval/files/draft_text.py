@@ -59,6 +59,8 @@ def value(item: object) -> str:
         return quoted(item)
     if isinstance(item, bool):
         return str(item).lower()
+    if isinstance(item, Mapping):
+        return "{ " + ", ".join(f"{_key(str(key))} = {value(part)}" for key, part in item.items()) + " }"
     if isinstance(item, list | tuple):
         return "[" + ", ".join(value(part) for part in item) + "]"
     return repr(float(item)) if isinstance(item, float) else str(item)
@@ -150,7 +152,7 @@ def _shot(shot: DraftShot, *, draft_camera: bool = False) -> list[str]:
         "measurement_session": shot.group.session,
         "setup": shot.setup,
         "light": shot.light,
-        "light_level": float(f"{shot.light_level:.6g}") if shot.light else None,
+        "light_level": float(f"{shot.light_level:.6g}") if shot.light or shot.light_level != 1 else None,
         "exposure_s": fact.exposure.time_s or (1.0 if draft_camera else None),
         "iso": fact.exposure.iso,
         "rotation_deg": fact.rotation_deg or None,

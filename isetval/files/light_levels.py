@@ -106,18 +106,21 @@ def scale_for(
     row0, col0 = window.row0 + (window.rows - size) // 4 * 2, window.col0 + (window.cols - size) // 4 * 2
     middle = Window(row0, col0, size, size)
     shot = Shot("level", "flat", exposure=group.first.exposure, light="l", window=middle)
+    level = signal_dn(model, ShotSetup(shot, Light("l", spectrum)), channel)
+    return wanted_dn / level if level > 0 else None
+
+
+def signal_dn(model: CameraModel, setup: ShotSetup, channel: str = "G") -> float:
+    """Mean signal of a shot's window by the model in one colour, DN above black; 0 where the model cannot shoot it."""
     try:
-        electrons = mean_electrons(model, ShotSetup(shot, Light("l", spectrum)))
-        gain = model.value(GAIN)
+        electrons, gain = mean_electrons(model, setup), model.value(GAIN)
     except InputError:
-        return None
-    cfa = model.sensor.cfa
+        return 0.0
+    cfa, (row0, col0) = model.sensor.cfa, (setup.shot.window or (0, 0))[:2]
     if cfa == "MONO":
-        level = float(electrons.mean())
-    else:
-        at = [(r, c) for r in (0, 1) for c in (0, 1) if cfa[((middle.row0 + r) % 2) * 2 + (middle.col0 + c) % 2] == channel]
-        level = float(np.mean([electrons[r::2, c::2].mean() for r, c in at]))
-    return wanted_dn / (level * gain) if level > 0 else None
+        return float(electrons.mean() * gain)
+    at = [(r, c) for r in (0, 1) for c in (0, 1) if cfa[((row0 + r) % 2) * 2 + (col0 + c) % 2] == channel]
+    return float(np.mean([electrons[r::2, c::2].mean() for r, c in at]) * gain)
 
 
 def known_exposure(group: ShotGroup) -> ShotGroup:

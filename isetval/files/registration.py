@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,8 +34,9 @@ class ChartPose:
 
     ``matrix`` projects (column, row) in patch pitches to (column, row) in pixels; ``side`` is that of a patch in
     pitches; ``outliers`` counts patches whose centre the projection does not explain; ``error_px`` is the rms distance
-    of the others.  ``white`` is the number of its brightest patch.  A sheet of disks has ``disks``, a box around each, patches
-    in and between them, and ``reflectances`` that were read off the picture.
+    of the others.  ``white`` is the number of its brightest patch; ``middles_px`` (n, 2; row, col) are the middles of the
+    patches ``seen``, as their borders tell.  A sheet of disks has ``disks``, a box around each, patches in and between them,
+    and ``reflectances`` that were read off the picture.
     """
 
     names: tuple[str, ...]
@@ -50,6 +52,8 @@ class ChartPose:
     white: int = 18
     disks: tuple[RoiLike, ...] = ()
     reflectances: tuple[float, ...] = ()
+    seen: tuple[int, ...] = ()
+    middles_px: Float | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ def register_chart(capture: Capture) -> ChartPose:
     from skimage.measure import ransac
     from skimage.transform import ProjectiveTransform
 
-    from isetval.measure.color.chart_finding import find_chart, preview
+    from isetval.measure.color.chart_finding import find_chart
     from isetval.measure.color.chart_layout import PATCH_NAMES
 
     found = find_chart(capture)
@@ -89,16 +93,33 @@ def register_chart(capture: Capture) -> ChartPose:
     )
     if inliers is None or inliers.sum() < 12:
         raise MeasurementError("a chart was found but its patches do not lie on one plane; flatten it, or give its boxes by hand")
-    bin_px = 1 if capture.sensor.cfa == "MONO" else 2
-    picture = preview(capture, bin_px)
-    side = _patch_side(picture, model, grid, bin_px)
+    borders = _patch_borders(capture, model, grid)
+    side = 2 * float(np.nanmedian(borders)) if np.isfinite(borders).sum() >= 8 else 0.8
+    seen = _between_borders(borders)
+    if len(seen) >= 12:  # the finder projects its middles from four corners: borders tell them to a tenth of a pixel
+        pixels = model(grid[list(seen)] + list(seen.values()))
+        grid_seen = grid[list(seen)]
+        model, inliers = ransac(
+            (grid_seen, pixels),
+            ProjectiveTransform,
+            min_samples=4,
+            residual_threshold=RANSAC_PITCHES * pitch,
+            max_trials=500,
+            rng=0,
+        )
+        if inliers is None or inliers.sum() < 12:
+            raise MeasurementError(
+                "the borders of a chart's patches do not lie on one plane; flatten it, or give its boxes by hand"
+            )
+    else:
+        grid_seen = grid
     half = side / 2
     square = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
     quads = np.stack([model(center + square)[:, ::-1] for center in grid])
     boxes = tuple(upright_box(quad) for quad in quads)
     smallest = min(min(b[1] - b[0], b[3] - b[2]) for b in boxes)
     margin = max(min(LEAST_MARGIN_PX, smallest // 4), round(MARGIN_SHARE * smallest))
-    distance = np.hypot(*(model(grid) - pixels)[inliers].T)
+    distance = np.hypot(*(model(grid_seen) - pixels)[inliers].T)
     along, top, bottom = (model(np.array(ends, float)) for ends in ([[0, 0], [5, 0]], [[0, 0], [5, 0]], [[0, 3], [5, 3]]))
     left, right = (model(np.array(ends, float)) for ends in ([[0, 0], [0, 3]], [[5, 0], [5, 3]]))
     lengths = [float(np.hypot(*np.diff(ends, axis=0)[0])) for ends in (left, right, top, bottom)]
@@ -114,6 +135,8 @@ def register_chart(capture: Capture) -> ChartPose:
         int((~inliers).sum()),
         float(np.sqrt(np.mean(distance**2))),
         margin,
+        seen=tuple(seen),
+        middles_px=pixels[:, ::-1],
     )
 
 
@@ -203,36 +226,63 @@ def patch_levels(capture: Capture, boxes: Sequence[RoiLike]) -> Float:
     return np.array(out)
 
 
-def _patch_side(picture: Float, model: object, grid: Float, bin_px: int) -> float:
-    """Side of a patch in pitches: where the signal from a patch's middle outwards is halfway to what lies between patches.
+def _patch_borders(capture: Capture, model: object, grid: Float) -> Float:
+    """Distance (24, 4) in pitches from each patch's middle to its border to the right, below, to the left and above.
 
-    Medians over all borders with contrast; 1 where patches touch.
+    A border is where the signal from the middle outwards is halfway to what lies between patches, in the colour with most
+    contrast; NaN without contrast.
     """
     from scipy.ndimage import map_coordinates
 
+    from isetval.measure.color.chart_finding import preview
+
+    bin_px = 1 if capture.sensor.cfa == "MONO" else 2
+    picture = preview(capture, bin_px)
+    sites = _sites(capture.sensor.cfa)
     across = np.linspace(-0.25, 0.25, 11)
-    colors = [picture[..., k] for k in range(3)]
-    crossings = []
+    out = np.full((len(grid), 4), np.nan)
     top = float(np.percentile(picture, 99.5))
-    for center in grid:
-        for turn in range(4):
-            out = np.array([math.cos(turn * math.pi / 2), math.sin(turn * math.pi / 2)])
-            points = center + SIDE_STEPS[:, None, None] * out + across[None, :, None] * out[::-1]
-            pixels = model(points.reshape(-1, 2)).reshape(*points.shape)  # type: ignore[operator]
-            place = (pixels[..., ::-1] - (bin_px - 1) / 2) / bin_px
-            where = [place[..., 0], place[..., 1]]
-            ray = np.array([map_coordinates(color, where, order=1, mode="nearest").mean(axis=1) for color in colors])
-            inner, outer = ray[:, SIDE_STEPS < 0.25].mean(axis=1), ray[:, -1]
-            k = int(np.argmax(np.abs(inner - outer)))
-            if abs(inner[k] - outer[k]) < LEAST_CONTRAST * top:
-                continue
-            share = (ray[k] - outer[k]) / (inner[k] - outer[k])
-            beyond = np.flatnonzero(share < 0.5)
-            i = int(beyond[0])
-            crossings.append(
-                SIDE_STEPS[i] - (0.5 - share[i]) / max(share[i - 1] - share[i], 1e-9) * (SIDE_STEPS[1] - SIDE_STEPS[0])
-            )
-    return 2 * float(np.median(crossings)) if len(crossings) >= 8 else 0.8
+    for (patch, center), turn in itertools.product(enumerate(grid), range(4)):
+        along = np.array([math.cos(turn * math.pi / 2), math.sin(turn * math.pi / 2)])
+        points = center + SIDE_STEPS[:, None, None] * along + across[None, :, None] * along[::-1]
+        pixels = model(points.reshape(-1, 2)).reshape(*points.shape)[..., ::-1]  # type: ignore[operator]
+        places = [np.moveaxis((pixels - site) / bin_px, -1, 0) for site in sites]
+        colors = [map_coordinates(picture[..., k], place, order=1, mode="nearest") for k, place in enumerate(places)]
+        ray = np.array(colors).mean(axis=2)
+        inner, outer = ray[:, SIDE_STEPS < 0.25].mean(axis=1), ray[:, -1]
+        k = int(np.argmax(np.abs(inner - outer)))
+        if abs(inner[k] - outer[k]) < LEAST_CONTRAST * top:
+            continue
+        share = (ray[k] - outer[k]) / (inner[k] - outer[k])
+        out[patch, turn] = _border(share)
+    return out
+
+
+def _border(share: Float) -> float:
+    """Where the signal falls from a patch (1) to what lies beside it (0), in pitches: by its area, as sampling leaves it.
+
+    The area is taken from as far before the fall as the gap's middle lies behind it.
+    """
+    middle = int(np.flatnonzero(share < 0.5)[0])
+    reach = min(len(share) - 1 - middle, middle)
+    near = share[middle - reach : middle + reach + 1]
+    top = float(share[max(middle - 2 * reach, 0) : middle - reach + 1].mean())
+    step = SIDE_STEPS[1] - SIDE_STEPS[0]
+    return float(SIDE_STEPS[middle - reach] + np.trapezoid(near / top, dx=step))
+
+
+def _between_borders(borders: Float) -> dict[int, Float]:
+    """Shift (x, y) in pitches of a patch's middle from where its stated middle lies, for patches with all four borders."""
+    right, down, left, up = borders.T
+    shifts = np.stack([right - left, down - up], axis=1) / 2
+    return {i: shift for i, shift in enumerate(shifts) if np.isfinite(shift).all()}
+
+
+def _sites(cfa: str) -> Float:
+    """Mean place (3, 2; row, col) of the samples of R, G, B in a cell of the preview, in pixels."""
+    if cfa == "MONO":
+        return np.zeros((3, 2))
+    return np.array([np.mean([divmod(i, 2) for i, c in enumerate(cfa) if c == color], axis=0) for color in "RGB"])
 
 
 def register_edges(capture: Capture) -> tuple[tuple[EdgePose, ...], tuple[tuple[RoiLike, str], ...]]:

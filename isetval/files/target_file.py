@@ -10,6 +10,7 @@ from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, RenderedTarget, Spectrum, Target, read_spectra
 from isetval.core.sensor import RoiLike
 from isetval.core.toml import check_keys, named_file, number, numbers, read_toml, tables, text, whole
+from isetval.scenes.rendered.scene_file import POSE
 
 SEEN_NM = (380.0, 780.0)
 """Bands of a camera model: measured tables go on into the ultraviolet and infrared, where their noise passes 1."""
@@ -19,7 +20,8 @@ _EDGE_KEYS = (
     "surround", "roi", "notes",
 )  # fmt: skip
 _CHART_KEYS = ("kind", "patch", "surround", "reflectance", "margin_px", "background", "outline", "disks", "notes")
-_SCENE_KEYS = ("kind", "file", "patch", "line", "notes")
+POSED = "posed"  # the camera that a target states itself
+_SCENE_KEYS = ("kind", "file", "camera", "patch", "line", "notes")
 
 
 def read_target(name: str, entry: Any, path: Path) -> Target:
@@ -88,7 +90,21 @@ def _scene(name: str, entry: Mapping[str, Any], where: str, path: Path) -> Rende
         ends = (*numbers(line, "from", where, lengths=(2,)), *numbers(line, "to", where, lengths=(2,)))
         lines.append((text(line, "name", where, f"line{i}"), *ends))
     spec = dict(read_toml(file)) | {"file": str(file)}
+    if "camera" in entry:
+        spec |= _posed(entry["camera"], spec, where)
     return RenderedTarget(name=name, spec=spec, patches=_patches(entry, where, path, {}), lines=tuple(lines))  # type: ignore[arg-type]
+
+
+def _posed(entry: Any, spec: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The scene file's content that changes with the camera of a target: a pose in numbers, or one of the file's by name."""
+    render = dict(spec.get("render", {}))
+    if isinstance(entry, str):
+        return {"render": render | {"camera": entry}}
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{where}: camera is {entry!r}; it needs the name of a camera of the scene file, or a table of its pose")
+    pose = check_keys(entry, f"{where} camera", known=(*POSE, "focal_mm"), needed=("z_m",))
+    values = {key: number(pose, key, f"{where} camera") for key in pose}
+    return {"camera": {POSED: values}, "render": render | {"camera": POSED}}
 
 
 def _patches(entry: Mapping[str, Any], where: str, path: Path, table: Mapping[str, Spectrum]) -> tuple[Patch, ...]:

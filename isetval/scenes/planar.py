@@ -32,9 +32,11 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
     step = (wavelength_nm - 550.0) / 100.0
     spectrum = 1 + context.get("spectrum_tilt") * step + context.get("spectrum_bow") * step**2
     level *= 1.0 if shot.target is None else _at_window(context)
+    factor = level * np.maximum(spectrum, 0)
     return Scene(
         wavelength_nm=wavelength_nm,
-        white=white * level * np.maximum(spectrum, 0),
+        white=white * factor,
+        lamp_factor=factor,
         light=None if light is None else light.radiance,
         target=_moved(shot.target, context),
         tilt=(context.get("light_tilt_x"), context.get("light_tilt_y")),
@@ -98,7 +100,12 @@ def planar_radiance(scene: Scene, context: Context) -> Signal:
     if scene.ambient is not None:
         layers.append(Layer(scene.ambient[:, None, None]))
     signal = Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm)
-    if not any(scene.target_shift_px) or not isinstance(scene.target, ChartTarget):
+    return shifted(signal, scene) if isinstance(scene.target, ChartTarget) else signal
+
+
+def shifted(signal: Signal, scene: Scene) -> Signal:
+    """The picture of a target at its place beside the stated one."""
+    if not any(scene.target_shift_px):
         return signal
     right, down = scene.target_shift_px
     return signal.blurred(partial(_shifted, right_px=right, down_px=down))  # type: ignore[arg-type]

@@ -22,8 +22,9 @@ from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene, Spectrum
 from isetval.core.signal import Layer, Signal, Transfer
-from isetval.scenes.planar import target_field
+from isetval.scenes.planar import shifted, target_field
 from isetval.scenes.rendered.accumulation import Progress, Render
+from isetval.scenes.rendered.box import turned_up
 from isetval.scenes.rendered.lens_view import LensView, pupil_camera, pupil_crop
 from isetval.scenes.rendered.rendering import render
 from isetval.scenes.rendered.scene_file import LoadedScene, parse_scene
@@ -63,20 +64,25 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
     """
     if not isinstance(scene.target, RenderedTarget):
         raise InputError("the shot's target is not a scene to be rendered")
-    lamp = scene.white if np.any(scene.white > 0) else own_lamp(scene)
+    lamp = _lamp(scene)
     transport = RenderedScene(load_target(scene), scene, context, progress, draw)
     rows, cols = context.window[2:]
     amplitude = (lamp[:, None, None] * target_field(scene, context))[..., :rows, :cols]
     layers = [Layer(amplitude, transport)]
     if scene.ambient is not None:
         layers.append(Layer(scene.ambient[:, None, None]))
-    return Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm)
+    return shifted(Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm), scene)
+
+
+def _lamp(scene: Scene) -> Float:
+    """Radiance (bands,) of the shot's light, else of the scene file's own lamp at the shot's level."""
+    return scene.white if np.any(scene.white > 0) else own_lamp(scene) * scene.lamp_factor
 
 
 def rendered_mean(scene: Scene, context: Context) -> Float:
     """Mean spectral radiance (bands,) of all that the camera sees of a rendered scene, for glare; a coarse render."""
     loaded = load_target(scene)
-    lamp = scene.white if np.any(scene.white > 0) else own_lamp(scene)
+    lamp = _lamp(scene)
     sensor = context.sensor
     factor = max(sensor.rows, sensor.cols) / COARSE_PX
     coarse = replace(
@@ -214,7 +220,7 @@ def fine_camera(camera: Any, context: Context, *, subsample: int, halo_px: int) 
     sensor, turn = context.sensor, math.radians(context.rotation_deg)
     return {
         **camera,
-        "up": [math.sin(turn), math.cos(turn), 0.0],
+        "up": turned_up(camera, turn),
         "pixel_um": sensor.pixel_um / subsample,
         "rows": (sensor.rows + 2 * halo_px) * subsample,
         "cols": (sensor.cols + 2 * halo_px) * subsample,

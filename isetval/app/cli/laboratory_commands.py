@@ -67,6 +67,13 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--camera", default="", metavar="MODEL", help="the nominal camera model: a file, or isetval:pixel4a/camera.toml"
     )
+    p.add_argument(
+        "--scene",
+        default="",
+        metavar="SCENE",
+        help="scene file of what stands in the pictures of charts and edges (in FOLDER, or isetval:scenes/cornell_box.toml): "
+        "finds the camera's pose in it",
+    )
     p.add_argument("--open", action="store_true", help="open the page with the pictures of what was found")
     p.set_defaults(handler=campaign_init, writes_result=False)
     p = actions.add_parser(
@@ -146,7 +153,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     if descriptor is not None:
         return _init_from_descriptor(descriptor, args.camera, console)
     console.say(f"reading the files of {args.folder}")
-    draft, *others = draft_campaigns(args.folder, role=args.role, camera=args.camera, progress=console.progress)
+    draft, *others = draft_campaigns(args.folder, role=args.role, camera=args.camera, scene=args.scene, progress=console.progress)
     roles = [shot.role for shot in draft.shots]
     lines, made = [], []
     for one in (draft, *others):

@@ -18,6 +18,8 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from isetval.core.cache import file_hash
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum
@@ -111,19 +113,42 @@ class BoxParameters:
 PAPER_EDGES = (Edge((0.030, 0.000, -0.10), (0.05, 0.05)), Edge((-0.030, 0.045, 0.10), (0.03, 0.03)))
 
 
-def wall_camera(z_m: float = 0.40, *, x_m: float = 0.0, y_m: float = 0.0, **lens: Any) -> dict[str, Any]:
+def wall_camera(
+    z_m: float = 0.40,
+    *,
+    x_m: float = 0.0,
+    y_m: float = 0.0,
+    pan_deg: float = 0.0,
+    tilt_deg: float = 0.0,
+    roll_deg: float = 0.0,
+    **lens: Any,
+) -> dict[str, Any]:
     """A camera before the open front, looking along -z; ``lens`` replaces the Pixel 4a's numbers.
 
+    ``pan_deg`` turns it to the right, ``tilt_deg`` upwards, then ``roll_deg`` about its axis as a shot's rotation does.
     The positions in the paper's public scripts are z 0.385 and 0.405 m.  The position is that of the entrance pupil.
     """
-    return {
+    pan, tilt, roll = (math.radians(v) for v in (pan_deg, tilt_deg, roll_deg))
+    forward = (math.sin(pan) * math.cos(tilt), math.sin(tilt), -math.cos(pan) * math.cos(tilt))
+    up = (-math.sin(pan) * math.sin(tilt), math.cos(tilt), math.cos(pan) * math.sin(tilt))
+    camera = {
         "position_m": [x_m, y_m, z_m],
-        "look_at_m": [x_m, y_m, z_m - 1.0],
-        "up": [0.0, 1.0, 0.0],
+        "look_at_m": [x_m + forward[0], y_m + forward[1], z_m + forward[2]],
+        "up": list(up),
         "aperture_radius_mm": 0.0,
         **PIXEL_4A,
         **lens,
     }
+    return camera if roll == 0 else {**camera, "up": turned_up(camera, roll)}
+
+
+def turned_up(camera: Mapping[str, Any], angle_rad: float) -> list[float]:
+    """The up direction of a camera that is turned about its own axis: its picture turns counter-clockwise."""
+    (ax, ay, az), (ux, uy, uz) = (np.subtract(camera["look_at_m"], camera["position_m"]), camera["up"])
+    right = (ay * uz - az * uy, az * ux - ax * uz, ax * uy - ay * ux)
+    norm = math.sqrt(ax * ax + ay * ay + az * az)
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return [float(c * u + s * r / norm) for u, r in zip((ux, uy, uz), right, strict=True)]
 
 
 def cornell_box(parameters: BoxParameters | None = None, **changes: Any) -> dict[str, Any]:

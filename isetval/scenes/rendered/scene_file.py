@@ -15,6 +15,7 @@ from isetval.core.toml import PACKAGE_PREFIX, named_file
 from isetval.scenes.rendered.box import Block, BoxParameters, Chart, Edge, Mesh, cornell_box, wall_camera
 
 _LISTS = {"blocks": Block, "charts": Chart, "edges": Edge, "meshes": Mesh}
+POSE = ("z_m", "x_m", "y_m", "pan_deg", "tilt_deg", "roll_deg")
 _TOP = {"kind", "name", "parameters", "spectra", "camera", "source", "render"}
 
 
@@ -148,7 +149,7 @@ def _spectra(entries: Mapping[str, Mapping[str, Any]], file: Path) -> dict[str, 
 
 
 def _camera(entry: Mapping[str, Any]) -> dict[str, Any]:
-    known = {"z_m", "x_m", "y_m", "focal_mm", "pixel_um", "rows", "cols", "aperture_radius_mm", "focus_m"}
+    known = {*POSE, "focal_mm", "pixel_um", "rows", "cols", "aperture_radius_mm", "focus_m"}
     unknown = sorted(set(entry) - known)
     if unknown:
         raise InputError(f"a camera has no {', '.join(unknown)}; it has {', '.join(sorted(known))}")
