@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
+from isetval.files.bad_pixels import bad_pixels
 from isetval.files.picture_file import Remark
 from isetval.measure.noise.code_counts import CodeCounts, code_counts
 
@@ -21,9 +22,7 @@ MISSING_CODES_LISTED = 16  # a sentence, not a table
 COMMON_COUNT = 30  # a Poisson count of mean 30 is 0 with probability 1e-13
 WIDEST_GAP = 15  # the gaps of a shift by four bits (12 bits stored as 16), the widest in use
 CLIPPED_SHARE_NAMED = 1e-4  # ten hot or dead pixels in 10^5 are ordinary
-LEAST_OUT_DN = 8  # how far a bad pixel stands out at least: quantisation and a quiet dark give single codes
 STRIP_BYTES = 1 << 18  # some arrays of this size stay in the second-level cache of common processors
-RANGE_PIXELS = 1 << 20  # a quarter of them in each plane: they tell a median to .2 %
 NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
 
@@ -166,102 +165,6 @@ def code_remarks(codes: Codes) -> list[Remark]:
     text = f"{codes.missing_count} values inside the used range never occur ({listed}): "
     text += "the data were stretched or calibrated after the converter"
     return [Remark("missing_codes", text)]
-
-
-def bad_pixels(capture: Capture) -> dict[str, int]:
-    """Pixels of every plane that stand out of their eight plane neighbors.
-
-    A pixel is ``hot`` (``dead``) if it lies above the largest (below the smallest) of its eight
-    neighbors of the same color by more than eight times the typical range of such neighbors (one
-    sixth of it stands for sigma) and by more than 8 DN.  Rim pixels of a plane are not judged.
-    """
-    step = 1 if capture.sensor.cfa == "MONO" else 2
-    rows, cols = capture.mosaic.shape
-    if min(rows, cols) <= 2 * step:
-        return {"hot": 0, "dead": 0}
-    found = _standing_out(capture.mosaic, step)
-    counts = {"hot": 0, "dead": 0}
-    for phase in {place.phase for place in found}:
-        typical = _typical_range(capture.mosaic, step, phase)
-        for place in found:
-            if place.phase == phase:
-                counts[place.kind] += _far_out(place, typical)
-    return counts
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Pixels of one phase of the mosaic far above or below their neighbors: distances and ranges of the neighbors, DN."""
-
-    kind: str
-    phase: tuple[int, int]
-    distance: Mosaic
-    span: Mosaic
-
-
-def _strips(mosaic: Mosaic, step: int) -> Iterator[tuple[int, Mosaic]]:
-    """First judged row and rows of strips with the neighbors of all but their rims; they stay in the processor's cache."""
-    rows, cols = mosaic.shape
-    high = step * max(1, STRIP_BYTES // (2 * step * cols))
-    for top in range(step, rows - step, high):
-        yield top, mosaic[top - step : min(top + high + step, rows)]
-
-
-def _standing_out(mosaic: Mosaic, step: int) -> list[_Found]:
-    """Pixels that lie outside their neighbors by at least the range of these and by more than the least limit.
-
-    `_far_out` asks for more of both; here it is what keeps whole numbers of 16 bits from overflowing.
-    """
-    out = []
-    for top, part in _strips(mosaic, step):
-        middle = part[step:-step, step:-step]
-        high, low = _of_neighbors(np.maximum, part, step), _of_neighbors(np.minimum, part, step)
-        span = high - low
-        distance = np.maximum(middle, high)
-        distance -= np.minimum(middle, low)
-        distance -= span  # what the middle adds to the range of its neighbors
-        at = distance > LEAST_OUT_DN
-        at &= distance >> 1 >= span
-        for row, col in np.ndindex(step, step) if at.any() else ():
-            own = (slice((row - top) % step, None, step), slice((col - step) % step, None, step))
-            hot = at[own] & (middle[own] > high[own])
-            for kind, where in (("hot", hot), ("dead", at[own] & ~hot)):
-                if where.any():
-                    out.append(_Found(kind, (row, col), distance[own][where], span[own][where]))
-    return out
-
-
-def _of_neighbors(extreme: Callable[..., Mosaic], part: Mosaic, step: int) -> Mosaic:
-    """Largest or smallest of the eight neighbors of all but the rim, (rows - 2 step, cols - 2 step)."""
-    pair = extreme(part[:, : -2 * step], part[:, 2 * step :])
-    three = extreme(pair, part[:, step:-step])
-    out = extreme(three[: -2 * step], three[2 * step :])
-    return extreme(out, pair[step:-step], out=out)
-
-
-def _typical_range(mosaic: Mosaic, step: int, phase: tuple[int, int]) -> float:
-    """Median range of the eight neighbors of the pixels of one phase; of a large picture from evenly spread strips."""
-    counts = np.zeros(65536, np.int64)
-    strips = list(_strips(mosaic, step))
-    for top, part in strips[:: max(1, mosaic.size // RANGE_PIXELS)]:
-        own = part[(phase[0] - top) % step :: step, phase[1] :: step]
-        span = _of_neighbors(np.maximum, own, 1) - _of_neighbors(np.minimum, own, 1) if min(own.shape) > 2 else own[:0]
-        counts += np.bincount(span.ravel(), minlength=65536)
-    return _median(counts)
-
-
-def _far_out(found: _Found, typical: float) -> int:
-    """How many of them lie beyond the limit."""
-    # eight normal numbers span 2.85 sigma on average
-    sigma = np.maximum(found.span.astype(float), typical) / 2.85
-    return int(np.count_nonzero(found.distance > np.maximum(OUTLIER_SIGMAS * sigma, LEAST_OUT_DN)))
-
-
-def _median(counts: NDArray[np.int64]) -> float:
-    """Median of whole numbers from how often each occurs."""
-    total = np.cumsum(counts)
-    middle = np.searchsorted(total, [(total[-1] - 1) // 2, total[-1] // 2], side="right")
-    return float(middle.mean())
 
 
 def describe_capture(capture: Capture) -> dict[str, Any]:

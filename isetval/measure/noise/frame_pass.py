@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.quantity import Quantity
 from isetval.core.sensor import RoiLike
-from isetval.measure.noise.moments import BLOCK_PIXELS, Moments, column_profile
+from isetval.measure.noise.moments import BLOCK_PIXELS, Moments, column_profile, mean_of_frames, square_of_frames
 
 Float = NDArray[np.float64]
 Values = NDArray[Any]
@@ -114,10 +114,10 @@ def _accumulate(frames: Sequence[Values], planes: Sequence[_Plane], step: int, k
         for f, frame in enumerate(frames):
             block[f] = frame[part]
             means[f] = _row_means(block[f], frame, part, step)
-        average = block.mean(axis=0)
+        average = mean_of_frames(block)
         block -= average
         _without_drift(block, means, profiles, step)
-        variance = np.einsum("fij,fij->ij", block, block)
+        variance = square_of_frames(block)
         for plane in planes:
             lines, (row, col) = plane.lines(part, step), plane.phase
             np.subtract(average[row::step, col::step], kind.type(plane.black_dn), out=plane.average[lines])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from isetval.core.capture import Capture, check_roi, plane_black_dn, plane_view, planes_of
 from isetval.core.sensor import RoiLike
-from isetval.measure.noise.moments import column_profile, leave_out
+from isetval.measure.noise.moments import column_profile, leave_out, mean_of_frames
 
 Float = NDArray[np.float64]
 Values = NDArray[Any]
@@ -212,7 +212,7 @@ def _residual(block: Values) -> Values:
     if block.shape[0] == 2:
         block[0] -= block[1]
         return block[:1]
-    block -= block.mean(axis=0)
+    block -= mean_of_frames(block)
     return block
 
 

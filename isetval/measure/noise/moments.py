@@ -143,7 +143,7 @@ def frame_moments(
         row_means[:, part] = block.mean(axis=2, dtype=np.float64)
         if bad is not None and bad[part].any():
             row_means[:, part] = leave_out(block, bad[part])
-        mean = block.mean(axis=0)
+        mean = mean_of_frames(block)
         average[part] = mean
         if frames > 1:
             if profile is None:
@@ -151,10 +151,29 @@ def frame_moments(
             block -= mean
             drift = (row_means[:, part] - row_means[:, part].mean(axis=0)).astype(kind)
             block -= drift[:, :, None] * profile
-            variance[part] = np.einsum("fij,fij->ij", block, block)
+            variance[part] = square_of_frames(block)
     if frames > 1:
         variance *= cols / max(cols - 1, 1) / (frames - 1)
     return Moments(average, variance, row_means)
+
+
+def mean_of_frames(block: Values) -> Values:
+    """Mean over the first axis, frame after frame: numpy's own takes ten times as long along an outer axis."""
+    total = block[0].copy()
+    for frame in block[1:]:
+        total += frame
+    total /= len(block)
+    return np.asarray(total)
+
+
+def square_of_frames(block: Values) -> Values:
+    """Sum of squares over the first axis, frame after frame."""
+    total = np.square(block[0])
+    one = np.empty_like(total)
+    for frame in block[1:]:
+        np.square(frame, out=one)
+        total += one
+    return np.asarray(total)
 
 
 def central(view: Values) -> Values:
