@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.quantity import Quantity
-from isetval.measure.noise.moments import Moments
+from isetval.measure.noise.moments import BLOCK_PIXELS, Moments
 
 Float = NDArray[np.float64]
 NO_ROW_NOISE = Quantity(0.0, 0.0, "DN^2")
@@ -89,19 +89,18 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Qu
         contains that of the residue.
     """
     average = moments.average
-    residual, surface, gain = _flatten(average, degree, relative)
-    bad = np.abs(residual) > moments.outlier_limit(robust_sd(residual))
+    flat = _flatten(average, moments.pixel_variance, degree, relative)
+    limit = moments.outlier_limit(robust_sd(flat.residual))
+    bad = np.abs(flat.residual) > limit if flat.highest > limit else np.zeros((1, 1), bool)
     outliers = int(bad.sum())
-    masked = 0 < outliers < MAX_OUTLIER_SHARE * residual.size
-    variance = moments.pixel_variance
+    masked = 0 < outliers < MAX_OUTLIER_SHARE * average.size
     if masked:
-        residual, surface, gain = _flatten(np.where(bad, surface, average), degree, relative)
-        residual, variance = np.where(bad, 0.0, residual), np.where(bad, 0.0, variance)
+        good_variance = np.where(bad, 0.0, moments.pixel_variance).astype(average.dtype, copy=False)
+        flat = _flatten(np.where(bad, flat.surface, average), good_variance, degree, relative)
+        flat.residual[bad] = 0.0
+    residual, surface = flat.residual, flat.surface
     valid = residual.size - outliers * masked
-    if gain is not None:
-        variance = variance * gain
-        variance *= gain
-    residue = float(variance.sum(dtype=np.float64)) / valid / moments.frames
+    residue = flat.variance_sum / valid / moments.frames
     parts = _parts(residual, degree, valid / residual.size)
     quantities, correlation = _assemble(
         parts, moments.shape, (residue, moments.temporal.sigma / moments.frames), row_temporal.scaled(1 / moments.frames, "DN^2")
@@ -120,33 +119,64 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Qu
     )
 
 
-def _flatten(image: NDArray[Any], degree: int, relative: bool) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any] | None]:
-    """Residual in DN, surface, and level / surface where the image was divided."""
+@dataclass(frozen=True, eq=False)
+class _Flat:
+    """Residual of an image about its surface, DN; the largest of them; and the sum of the pixels' variances in the same scale."""
+
+    residual: NDArray[Any]
+    surface: NDArray[Any]
+    highest: float
+    variance_sum: float
+
+
+def _blocks(rows: int, cols: int) -> list[slice]:
+    """Rows that stay in the processor's cache while everything is done with them."""
+    high = max(1, BLOCK_PIXELS // max(cols, 1))
+    return [slice(top, top + high) for top in range(0, rows, high)]
+
+
+def _flatten(image: NDArray[Any], variance: NDArray[Any], degree: int, relative: bool) -> _Flat:
+    """An image divided by its surface and brought back to its level, or less its surface; its variance alike."""
     surface = fit_surface(image, degree)
     level = float(surface.mean())
-    if relative and level > 0 and float(surface.min()) > 0.02 * level:
-        gain = (level / surface).astype(image.dtype, copy=False)
-        residual = image * gain
-        residual -= image.dtype.type(level)
-        return residual, surface, gain
-    return image - surface, surface, None
+    divided = relative and level > 0 and float(surface.min()) > 0.02 * level
+    residual = np.empty_like(image, dtype=surface.dtype)
+    highest, total = 0.0, 0.0
+    for part in _blocks(*image.shape):
+        own = residual[part]
+        if divided:
+            gain = np.divide(surface.dtype.type(level), surface[part])
+            np.multiply(image[part], gain, out=own)
+            own -= own.dtype.type(level)
+            scaled = variance[part] * gain
+            scaled *= gain
+        else:
+            np.subtract(image[part], surface[part], out=own)
+            scaled = variance[part]
+        total += float(scaled.sum(dtype=np.float64))
+        highest = max(highest, float(own.max()), -float(own.min()))
+    return _Flat(residual, surface, highest, total)
 
 
 def _parts(residual: NDArray[Any], degree: int, share: float) -> tuple[Float, Float, float]:
     """Mean squares (rest, row, column), their degrees of freedom, and excess kurtosis of the rest."""
     rows, cols = residual.shape
     row_means, col_means = residual.mean(axis=1, dtype=np.float64), residual.mean(axis=0, dtype=np.float64)
-    rest = residual - row_means.astype(residual.dtype)[:, None]
-    rest -= (col_means - row_means.mean()).astype(residual.dtype)
+    columns = (col_means - row_means.mean()).astype(residual.dtype)
+    square = fourth = 0.0
+    for part in _blocks(rows, cols):
+        rest = residual[part] - row_means[part].astype(residual.dtype)[:, None]
+        rest -= columns
+        np.multiply(rest, rest, out=rest)
+        square += float(rest.sum(dtype=np.float64))
+        fourth += float(np.vdot(rest, rest))
     used_y, used_x = min(degree, rows - 1) + 1, min(degree, cols - 1) + 1
     cross = sum(1 for i in range(1, used_y) for j in range(1, used_x) if i + j <= degree)
     dof = np.array([max((rows - 1) * (cols - 1) - cross, 1) * share, max(rows - used_y, 1), max(cols - used_x, 1)])
-    np.multiply(rest, rest, out=rest)
-    squares = np.array([rest.sum(dtype=np.float64), cols * np.sum(row_means**2), rows * np.sum(col_means**2)])
+    squares = np.array([square, cols * np.sum(row_means**2), rows * np.sum(col_means**2)])
     mean_squares = squares / dof
     mean_squares[1:] /= share
-    fourth = float(np.vdot(rest, rest)) / residual.size / share
-    excess = fourth / mean_squares[0] ** 2 - 3 if mean_squares[0] > 0 else 0.0
+    excess = fourth / residual.size / share / mean_squares[0] ** 2 - 3 if mean_squares[0] > 0 else 0.0
     return mean_squares, dof, max(float(excess), 0.0)
 
 
