@@ -69,12 +69,16 @@ class ShotSetup:
     """A shot with what is known about it: its light and the values of its nuisances.
 
     ``regions`` of its window are all that will be looked at (none: all of it); elsewhere there is no light and code 0.
+    ``before_e`` is the mean charge of the frame before the first, in e-; the first of ``stands_for`` frames is left where
+    one tells their mean.
     """
 
     shot: Shot
     light: Light | None = None
     nuisance: Mapping[str, float] = field(default_factory=dict)
     regions: tuple[Roi, ...] = ()
+    before_e: float = 0.0
+    stands_for: int = 1
 
     def digest(self) -> str:
         """SHA-256 of all that decides the shot's light (not its frames, files or name, nor where the light's table lies)."""
@@ -82,7 +86,7 @@ class ShotSetup:
 
     def of_one_frame(self) -> ShotSetup:
         """The same with one frame."""
-        return self if self.shot.frames == 1 else replace(self, shot=self.shot.of_one_frame)
+        return self if self.shot.frames == 1 else replace(self, shot=self.shot.of_one_frame, stands_for=self.shot.frames)
 
     @cached_property
     def _digest(self) -> str:

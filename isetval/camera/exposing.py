@@ -30,10 +30,9 @@ def expose(
     mode: Mode = "capture",
     sensor_seed: int | None = None,
     frame_factors: Float | None = None,
-    previous: float = 0.0,
     mean: Float | None = None,
 ) -> tuple[Capture, ...]:
-    """The frames of one shot.  ``previous`` is the mean charge of the shot before it, in e-; ``mean`` replaces the light."""
+    """The frames of one shot; ``mean`` replaces the light."""
     shot = setup.shot
     mean = mean_electrons(model, setup) if mean is None else mean
     context = make_context(model, setup, seed=seed, sensor_seed=seed if sensor_seed is None else sensor_seed, mode=mode)
@@ -48,7 +47,7 @@ def expose(
         factor = 1.0 if frame_factors is None else frame_factors[frame]
         codes = np.zeros(mean.shape, np.uint16)
         for roi, part in zip(parts, lit, strict=True):
-            before = np.full((1, 1), previous) if frame == 0 else part
+            before = np.atleast_2d((setup.before_e + (setup.stands_for - 1) * part) / setup.stands_for) if frame == 0 else part
             own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian)
             if setup.regions:
                 own = own.but(window=(row0 + roi.row0, col0 + roi.col0, *part.shape), shot_window=context.window)

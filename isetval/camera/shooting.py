@@ -93,19 +93,11 @@ def shoot(
     check_sensor(model, plan)
     values = values or {}
     camera = camera_with(model, plan, values)
-    for number, shot in enumerate(plan.shots):
-        setup = shot_setup(plan, shot, values)
+    for shot in plan.shots:
+        setup = after_shot_before(shot_setup(plan, shot, values), camera, plan, values)
         mean_electrons(camera, setup, progress=rendering)
         factors = frame_levels(plan, shot, seed) if draw else None
-        previous = _charge_before(camera, plan, number, values)
-        yield shot, expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
-
-
-def _charge_before(camera: CameraModel, plan: Campaign, number: int, values: Mapping[str, float]) -> float:
-    """Mean charge of the shot before, in e-, where an effect asks for it."""
-    if number == 0 or not any(effect.needs_previous for effect in camera.effects):
-        return 0.0
-    return float(mean_electrons(camera, shot_setup(plan, plan.shots[number - 1], values)).mean())
+        yield shot, expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors)
 
 
 def shoot_one(
@@ -124,8 +116,8 @@ def shoot_one(
     values, shot = values or {}, plan.shots[number]
     camera = camera_with(model, plan, values)
     factors = frame_levels(plan, shot, seed) if draw else None
-    previous = _charge_before(camera, plan, number, values)
-    return expose(camera, shot_setup(plan, shot, values), seed, sensor_seed=sensor_seed, frame_factors=factors, previous=previous)
+    setup = after_shot_before(shot_setup(plan, shot, values), camera, plan, values)
+    return expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors)
 
 
 def check_sensor(model: CameraModel, plan: Campaign) -> None:
@@ -159,6 +151,16 @@ def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotS
     if drift:
         nuisance["light_level"] = (1 + nuisance.get("light_level", 0.0)) * (1 + drift * time_in_session(plan, shot)) - 1
     return ShotSetup(shot, plan.lights.get(shot.light or ""), nuisance)
+
+
+def after_shot_before(setup: ShotSetup, camera: CameraModel, plan: Campaign, values: Mapping[str, float]) -> ShotSetup:
+    """The set-up with the charge of the shot before it, where an effect of the camera asks for it."""
+    if not any(effect.needs_previous for effect in camera.effects):
+        return setup
+    before = plan.before(setup.shot)
+    if before is None:
+        return setup
+    return replace(setup, before_e=float(mean_electrons(camera, shot_setup(plan, before, values)).mean()))
 
 
 def time_in_session(plan: Campaign, shot: Shot) -> float:

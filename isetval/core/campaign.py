@@ -204,7 +204,8 @@ class Campaign:
     ``captures`` hands them out by the shot's name, ``captures["flat_03"]``; files are opened then and not before.
 
     ``sensor`` is the full sensor that windows refer to; ``camera`` the path of the model file that
-    the plan names, if any.
+    the plan names, if any.  Shots are taken in their order; ``taken_after`` holds, by name, those that were taken straight
+    before a shot and are left out here.
     """
 
     name: str
@@ -217,6 +218,7 @@ class Campaign:
     folder: Path | None = None
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    taken_after: Mapping[str, Shot] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if isinstance(self.captures, dict) and not isinstance(self.captures, MemoryCaptures):  # frames by shot, plainly
@@ -256,7 +258,14 @@ class Campaign:
             for shot in self.shots
             if shot.name in wanted
         )
-        return replace(self, shots=shots, captures=self.captures.only(wanted))
+        before = {shot.name: self.before(shot) for shot in shots}
+        gone = {name: shot for name, shot in before.items() if shot is not None and shot.name not in wanted}
+        return replace(self, shots=shots, captures=self.captures.only(wanted), taken_after=gone)
+
+    def before(self, shot: Shot) -> Shot | None:
+        """The shot that was taken straight before another, None before the first."""
+        place = next(i for i, own in enumerate(self.shots) if own.name == shot.name)
+        return self.taken_after.get(shot.name, self.shots[place - 1] if place else None)
 
     def session(self, name: str) -> Campaign:
         """One measurement session."""

@@ -128,10 +128,10 @@ class Effect:
     distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays; ``per_light``
-    that its field ``light`` names the one light it concerns (empty: all).  ``forms``
-    are the shapes that it may have, by field: a diagnosis weighs them, and shape parameters with a ``tau``, once it is
-    named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its null it must be the
-    identity, unless it gives another unit than it acts on.
+    that its field ``light`` names the one light it concerns (empty: all).  ``forms`` are the shapes that it may have, by
+    field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with a ``tau`` once the effect
+    is named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its null it must be
+    the identity, unless it gives another unit than it acts on.
     """
 
     name: ClassVar[str] = ""
@@ -152,7 +152,7 @@ class Effect:
     makes_mosaic: ClassVar[bool] = False
     must_not_change: ClassVar[tuple[str, ...]] = ()
     uses_mean_irradiance: ClassVar[bool] = False
-    forms: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {}
     free: ClassVar[FreeAxis | None] = None
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False

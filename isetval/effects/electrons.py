@@ -141,7 +141,10 @@ class PdafPixels(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Lag(Effect):
-    """Charge left from the previous frame: a dark straight after a flat is lifted."""
+    """Charge left from the previous frame: a dark straight after a flat is lifted.
+
+    The first frame of a shot follows the last of the shot before it: shots are taken in the order of the campaign.
+    """
 
     name = "lag"
     stage = "electronics"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +116,8 @@ class AmplifierCrosstalk(Effect):
 
     Blurs across vertical edges to one side only, never across horizontal ones, and correlates the noise along rows.  Sensors
     that convert every column on its own do not have it.  Imitated by motion blur and lateral color, which leave the noise
-    white.  On a color mosaic the pixel before is that of the same color: ``lag_px`` 2.
+    white.  On a color mosaic the pixel before is that of the same color where each color has an output of its own (``lag_px``
+    2), and the neighbor of the other color where one output reads all of a row (1): colors then mix along rows.
     """
 
     name = "amplifier_crosstalk"
@@ -130,6 +132,7 @@ class AmplifierCrosstalk(Effect):
         "interpixel_capacitance",
     )
     halo_px = SETTLING_REACH_PX
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"lag_px": (2.0, 1.0)}
     equation = "DN(col) + c (DN(col - lag) - DN(col))"
     reference = "Freyhammer et al., Experimental Astronomy 12 (2001) 147 (cross-talk of read-out ports); first-order settling"
     must_not_change = ("illumination",)

@@ -167,7 +167,7 @@ class PixelAngularResponse(Effect):
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); forms are conventions"
     must_not_change = ("dark",)
     needs_chief_ray = True
-    forms: ClassVar[Mapping[str, tuple[str, ...]]] = {"form": FORMS}
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": FORMS}
 
     m_red: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of red at 30 degrees")
     m_green: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of green at 30 degrees")

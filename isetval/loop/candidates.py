@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ def doubts_for(unknowns: Sequence[Parameter]) -> tuple[Doubt, ...]:
 def candidates_for(model: CameraModel, lights: Sequence[str] = ()) -> tuple[Candidate, ...]:
     """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains.
 
-    Where several ``lights`` are used, an effect that may concern one of them only is a candidate for each, and for all.
+    Each form of an effect is a candidate.  Where several ``lights`` are used, so is an effect for each light that it may concern.
     """
     contained = {name for effect in model.effects for name in effect.replaces}
     chief_ray = any(effect.states_chief_ray() for effect in model.effects)
@@ -141,18 +142,20 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = ()) -> tuple[Cand
         effect = cls()
         nulls: dict[str, Any] = {p.name: p.null for p in parameters}
         absent = Candidate(name, replace(effect, **nulls), parameters, False)
-        out += _by_light(absent, lights) if cls.per_light and len(lights) > 1 else [absent]
+        one_light = {"light": ("", *lights)} if cls.per_light and len(lights) > 1 else {}
+        out += _forms(absent, {**cls.forms, **one_light})
     return tuple(out)
 
 
-def _by_light(candidate: Candidate, lights: Sequence[str]) -> list[Candidate]:
-    """The candidate for all lights and for each alone: forms of one class, which share its prior odds."""
-    share = 1 / (1 + len(lights))
-    alone = [
-        replace(candidate, name=f"{candidate.name} ({light})", effect=candidate.effect.changed(light=light), prior_weight=share)
-        for light in lights
+def _forms(candidate: Candidate, choices: Mapping[str, Sequence[str | float]]) -> list[Candidate]:
+    """The candidate with each choice for some fields, its own first: forms of one class, which share its prior odds."""
+    every = [dict(zip(choices, values, strict=True)) for values in product(*choices.values())]
+    own = [{key: value for key, value in chosen.items() if value != choices[key][0]} for chosen in every]
+    names = [f"{candidate.name} ({', '.join(map(str, o.values()))})" if o else candidate.name for o in own]
+    return [
+        replace(candidate, name=name, effect=candidate.effect.changed(**chosen), prior_weight=1 / len(every))
+        for name, chosen in zip(names, every, strict=True)
     ]
-    return [replace(candidate, prior_weight=share), *alone]
 
 
 def lights_of(plan: Campaign) -> tuple[str, ...]:

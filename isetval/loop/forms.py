@@ -1,16 +1,15 @@
 """The form of a named effect: shapes that it may have, weighed by evidence before anything else is said to be missing.
 
-A candidate whose shape is wrong loses to another effect, or leaves a residual that looks like a second one.  Beside its
-own form an effect may have others by name (`Effect.forms`), shape parameters that have a prior (an onset, a place), and a free
+A candidate whose shape is wrong loses to another effect, or leaves a residual that looks like a second one.  Forms by name
+(`Effect.forms`) are candidates of their own; here are shape parameters that have a prior (an onset, a place), and a free
 form: a spline along the axis that it states (`isetval.effects.free_form`).  All of them are the same class: none is a
 second name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +36,7 @@ LEFT = 0.1  # probability of a pattern in what is left, look-elsewhere in it, be
 def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
-    Forms by name are fitted from where the fit ended.  Shape parameters and free forms are first weighed as further columns of
+    Shape parameters and free forms are first weighed as further columns of
     the linear model about the fit, where anything is left over; those that promise strong evidence are fitted in full.
     The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.
     """
@@ -47,10 +46,9 @@ def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis
 
 
 def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say) -> Hypothesis:
-    fits = [found, *(_fitted(case, variant, found) for variant in _named_forms(_form(found, name)))]
-    best = max(fits, key=case.score)
-    if _openings(_form(best, name)) and _something_left(case, best):
-        fits += [_fitted(case, opened, best) for opened in _promising(case, best, name)]
+    if not (_openings(_form(found, name)) and _something_left(case, found)):
+        return found
+    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name))]
     if len(fits) == 1:
         return found
     fits.sort(key=case.score, reverse=True)
@@ -78,14 +76,12 @@ def _words(candidate: Candidate) -> str:
     return ", ".join(str(getattr(effect, name)) for name in effect.forms) or own
 
 
-def _named_forms(candidate: Candidate) -> Iterator[Candidate]:
-    """The candidate in its other forms by name."""
-    effect = candidate.effect
-    names = list(effect.forms)
-    for choice in product(*(effect.forms[name] for name in names)):
-        other = effect.changed(**dict(zip(names, choice, strict=True)))
-        if other != effect:
-            yield replace(candidate, effect=other)
+def other_forms(case: Investigation, candidate: Candidate) -> list[FormRow]:
+    """Forms by name of a named effect that were weighed as candidates of their own, as the linear model had them."""
+    logs = {row.name: row.log_evidence for row in case.rows}
+    free = tuple(p.name for p in candidate.parameters)
+    forms = [c for c in case.candidates if c.klass == candidate.klass and c.effect.forms]
+    return [FormRow(_words(c), free, logs.get(c.name) or 0.0) for c in forms] if len(forms) > 1 else []
 
 
 def _openings(candidate: Candidate) -> list[Candidate]:

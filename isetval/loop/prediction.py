@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.camera.shooting import camera_with, shot_setup
+from isetval.camera.shooting import after_shot_before, camera_with, shot_setup
 from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.context import Mode
@@ -148,7 +148,7 @@ class Predictor:
         self, camera: CameraModel, halves: Halves, shot: Shot, values: Mapping[str, float], seed: int, derivative: bool
     ) -> ShotPart:
         how = self.differences[shot.name]
-        setup = shot_setup(self.plan, shot, values)
+        setup = after_shot_before(shot_setup(self.plan, shot, values), camera, self.plan, values)
         if derivative and how.one_frame:
             setup = setup.of_one_frame()
         if shot.name not in self._regions:

@@ -90,7 +90,8 @@ class ShotPart:
     @property
     def _rest(self) -> tuple[Any, ...]:
         shot = self.setup.shot
-        return (self.halves.rest, shot.name, shot.frames, self.seed, self.mode, self.chosen)
+        frames = (shot.frames, self.setup.stands_for, self.setup.before_e)
+        return (self.halves.rest, shot.name, *frames, self.seed, self.mode, self.chosen)
 
     def key_of_light(self, mean: Float) -> str:
         """The same, by the light that came out in place of what it was made from."""

@@ -14,6 +14,7 @@ from isetval.loop.candidates import Doubt, Signature
 from isetval.loop.comparison import captures_of, ladder_rows
 from isetval.loop.evidence import CLOSE_LOG_ODDS, least_chi2
 from isetval.loop.form_curve import curve_of
+from isetval.loop.forms import other_forms
 from isetval.loop.investigation import Investigation, named_model
 from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
@@ -216,7 +217,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
                 effect,
                 candidate.present,
                 _fall_of_chi2(case, candidate.name),
-                case.forms.get(candidate.name, ()),
+                (*case.forms.get(candidate.name, ()), *other_forms(case, candidate)),
                 curve_of(candidate, case.fitted, case.prepared.model.sensor),
             )
         )

@@ -48,3 +48,10 @@ def test_one_light_needs_no_forms(model):
     assert only.name == "spd_mismatch"
     assert only.prior_weight == 1.0
     assert replace(only, prior_weight=0.5).klass == "spd_mismatch"
+
+
+def test_forms_by_name_are_candidates_that_share_the_odds_of_their_effect(model):
+    """An output that reads all of a row mixes colors: without that form it was answered with interpixel_capacitance."""
+    forms = [c for c in candidates_for(model) if c.klass == "amplifier_crosstalk"]
+    assert [(c.name, c.effect.lag_px) for c in forms] == [("amplifier_crosstalk", 2.0), ("amplifier_crosstalk (1.0)", 1.0)]
+    assert sum(c.prior_weight for c in forms) == pytest.approx(1.0)

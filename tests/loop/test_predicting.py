@@ -10,6 +10,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
+from isetval.effects import catalogue
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.shot_task import Sampled
 from isetval.loop.telling import Teller
@@ -109,3 +110,21 @@ def test_progress_is_told_under_the_last_words():
     teller("shooting")
     teller.counted(1, 4)
     assert heard == ["shooting", ("shooting", 1, 4)]
+
+
+def test_charge_left_by_the_shot_before_is_predicted(model, plan):
+    """Lag lifts the first frame by what the shot before held, in a session alone and where one frame stands for several."""
+    lagging = model.with_effect(catalogue()["lag"](fraction=0.5))
+    first, flat, edge = plan.shots
+    night = replace(plan, shots=(first, flat, replace(edge, frames=4), replace(first, name="after", measurement_session="B")))
+    captures = [simulate(camera, night, 101).captures for camera in (model, lagging)]
+    for session, name in (("A", "flat"), ("B", "after"), ("A", "edge")):
+        part = night.session(session)
+        table = measure_campaign(simulate(model, part, 3), summaries=False)
+        here, there = Predictor(part, table).derivative_vectors([Point(model), Point(lagging)])
+        rows = [i for i, m in enumerate(table.metrics) if m.shot == name and m.name in ("mean", "edge_level")]
+        wanted = np.diff([np.mean([frame.mosaic.mean() for frame in shots[name]]) for shots in captures])[0]
+        rows = [i for i, m in enumerate(table.metrics) if m.shot == name and (m.name == "mean" or m.name.endswith("_level"))]
+        shares = [2.0 if table.metrics[i].channel == "G" else 1.0 for i in rows]  # of both greens an edge gives one number
+        assert wanted > 50
+        assert np.average((there - here)[rows], weights=shares) == pytest.approx(wanted, rel=0.01)
