@@ -49,6 +49,9 @@ SHOT_NUISANCES = {
     "offset": NuisanceKind("unit of the rows", "value added to the rows of a metrics file"),
     "axis_stretch": NuisanceKind("relative", "radius, frequency or level of the rows of a metrics file times (1 + value)"),
 }
+STEP = 0.05
+"""Longest finite step of a relative error, if its prior is not wider: metrics are linear that far, and rounding makes a noise of
+one sigma in all rows together whatever the step, which a pull of 13 sigmas of a narrow prior multiplied."""
 GIVEN_NUISANCES = ("scale", "offset", "axis_stretch")
 """Errors of whoever measured the rows of a metrics file: they act on those rows only, not on any light."""
 
@@ -128,7 +131,9 @@ class Nuisance:
             only=(*self.roles, *self.lights, *self.setups),
             unit=self.unit or kind.unit,
             prior=self.sigma,
-            step=self.sigma,
+            step=self.sigma
+            if kind.curved or not kind.unit.startswith("relative")
+            else max(self.sigma, min(4 * self.sigma, STEP)),
             curved=kind.curved,
             focus=kind.focus,
         )

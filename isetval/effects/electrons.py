@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +108,10 @@ class Prnu(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class PdafPixels(Effect):
-    """Phase-detection pixels: a sparse, periodic pattern of half-covered pixels."""
+    """Phase-detection pixels: a sparse, periodic pattern of half-covered pixels.
+
+    All of them lie under one of the four filters of a color mosaic: which one, the place of the grid says.
+    """
 
     name = "pdaf_pixels"
     stage = "electronics"
@@ -119,21 +123,24 @@ class PdafPixels(Effect):
         "hot_pixels",
         "prnu",
     )
-    equation = "mu x (1 - loss) where row mod period = col mod period = period / 2"
+    equation = "mu x (1 - loss) where (row - row_px) mod period = (col - col_px) mod period = period / 2"
     reference = (
         "Nakamura (ed.), Image Sensors and Signal Processing for Digital Still Cameras (2006); regular grid is a convention"
     )
     must_not_change = ("dark", "edge")
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"row_px": (0.0, 1.0), "col_px": (0.0, 1.0)}
 
     loss: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.1, doc="loss of a phase-detection pixel")
     period_px: float = parameter(16.0, unit="px", low=2.0, high=512.0, shape=True, doc="period of the grid (whole pixels)")
+    row_px: float = parameter(0.0, unit="px", low=0.0, high=511.0, shape=True, doc="rows by which the grid is shifted (whole)")
+    col_px: float = parameter(0.0, unit="px", low=0.0, high=511.0, shape=True, doc="columns by which it is shifted (whole)")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale the pixels of the grid."""
         if not self.loss:
             return signal
         period = round(self.period_px)
-        row0, col0 = context.window[:2]
+        row0, col0 = context.window[0] - round(self.row_px), context.window[1] - round(self.col_px)
         values = np.array(signal.values)
         values[..., (period // 2 - row0) % period :: period, (period // 2 - col0) % period :: period] *= 1 - self.loss
         return signal.with_values(values)

@@ -151,7 +151,8 @@ def _forms(candidate: Candidate, choices: Mapping[str, Sequence[str | float]]) -
     """The candidate with each choice for some fields, its own first: forms of one class, which share its prior odds."""
     every = [dict(zip(choices, values, strict=True)) for values in product(*choices.values())]
     own = [{key: value for key, value in chosen.items() if value != choices[key][0]} for chosen in every]
-    names = [f"{candidate.name} ({', '.join(map(str, o.values()))})" if o else candidate.name for o in own]
+    said = [", ".join(v if isinstance(v, str) else f"{key} {v:g}" for key, v in chosen.items()) for chosen in own]
+    names = [f"{candidate.name} ({words})" if words else candidate.name for words in said]
     return [
         replace(candidate, name=name, effect=candidate.effect.changed(**chosen), prior_weight=1 / len(every))
         for name, chosen in zip(names, every, strict=True)

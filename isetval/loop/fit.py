@@ -150,7 +150,8 @@ def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sid
     steps, twice = [], []
     for f in wanted:
         value = point.values.get(f.label, 0.0) if f.is_nuisance else point.model.value(f.label)
-        up = f.step if value + f.step <= f.high else -f.step
+        # less light where either would do: more of it may saturate a plane, whose rows would seem to feel nothing
+        up = -f.step if (f.is_nuisance and not f.curved and value - f.step >= f.low) or value + f.step > f.high else f.step
         steps.append(up)
         points.append(at(point, [f], [value + up]))
         twice.append(f.curved or (both_sides and not f.is_nuisance and f.low <= value - up <= f.high))

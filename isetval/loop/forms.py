@@ -18,19 +18,19 @@ from isetval.core.effect import ParameterInfo
 from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
 from isetval.loop.candidates import Candidate
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
-from isetval.loop.investigation import Investigation, terms_beside
+from isetval.loop.investigation import Investigation
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.result import FormRow
 from isetval.loop.score_test import make_frame
-from isetval.loop.subset_sum import Term, weigh, weigh_all
-from isetval.loop.unknown import findings
+from isetval.loop.subset_sum import Term, weigh
+from isetval.loop.unknown import family_excess, findings
 
 Float = NDArray[np.float64]
 Say = Callable[[str], None]
 STEP_SHARE = 0.05  # of the prior's width: as the joint refits of candidates step
 FREE_SHARE = 0.1  # of the prior that the catalogue's form of an effect has: what a smooth other one, or a freed onset, has
-LEFT = 0.1  # probability of a pattern in what is left, look-elsewhere in it, below which another form is worth its simulations
+LEFT = 0.1  # probability of what is left, look-elsewhere in it, below which another form is worth its simulations
 
 
 def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis:
@@ -102,13 +102,12 @@ def _opened(candidate: Candidate, more: Sequence[ParameterInfo]) -> Candidate:
 
 
 def _something_left(case: Investigation, found: Hypothesis) -> bool:
-    """Whether a second effect, or a pattern without physics, would be seen in what a hypothesis leaves."""
-    terms = terms_beside(case, found)
-    if terms:
-        logs, _ = weigh_all(linear_model(case.problem, found.fitted, terms), classes=max(case.classes, 1), largest=1)
-        if max(value for subset, value in logs.items() if subset) > logs[()]:
-            return True
-    return bool(findings(case.problem, make_frame(found.fitted), alpha=LEFT))
+    """Whether a pattern, or more scatter of a family than its error bars say, would be seen in what a hypothesis leaves.
+
+    A second effect is not asked for: where a form is wrong the sum would sooner widen the error bars of its family.
+    """
+    excess = family_excess(case.problem, found.fitted.residual, alpha=LEFT)
+    return bool(excess or findings(case.problem, make_frame(found.fitted), alpha=LEFT))
 
 
 def _promising(case: Investigation, found: Hypothesis, name: str) -> list[Candidate]:

@@ -7,6 +7,7 @@ import pytest
 
 import isetval
 from isetval.camera.chain import ShotSetup, mean_electrons
+from isetval.camera.exposing import expose
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
@@ -53,5 +54,21 @@ def test_one_light_needs_no_forms(model):
 def test_forms_by_name_are_candidates_that_share_the_odds_of_their_effect(model):
     """An output that reads all of a row mixes colors: without that form it was answered with interpixel_capacitance."""
     forms = [c for c in candidates_for(model) if c.klass == "amplifier_crosstalk"]
-    assert [(c.name, c.effect.lag_px) for c in forms] == [("amplifier_crosstalk", 2.0), ("amplifier_crosstalk (1.0)", 1.0)]
+    assert [(c.name, c.effect.lag_px) for c in forms] == [("amplifier_crosstalk", 2.0), ("amplifier_crosstalk (lag_px 1)", 1.0)]
     assert sum(c.prior_weight for c in forms) == pytest.approx(1.0)
+
+
+def test_covered_pixels_may_lie_under_any_filter(model):
+    """The grid of the catalogue lies on red pixels; one on greens of blue rows was flagged and not named."""
+    setup = ShotSetup(
+        Shot("b", "flat", light="tube", exposure=Exposure(0.01), window=(6, 2, 40, 40)), Light("tube", Spectrum.flat(0.01))
+    )
+    seen = set()
+    for form in (c for c in candidates_for(model) if c.klass == "pdaf_pixels"):
+        (frame,) = expose(form.model_with(model).with_values({"pdaf_pixels.loss": 0.9}), setup, mode="expected")
+        (bare,) = expose(model, setup, mode="expected")
+        row, col = np.nonzero(frame.mosaic < 0.5 * bare.mosaic)
+        assert row.size >= 4
+        seen.add((row[0] % 2, col[0] % 2))
+        assert len(set(zip(row % 2, col % 2, strict=True))) == 1
+    assert len(seen) == 4

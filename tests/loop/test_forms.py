@@ -1,6 +1,7 @@
 """The form of a named effect: which are weighed, and that the planted one is found."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,13 +10,15 @@ import isetval
 from isetval.camera.chain import ShotSetup
 from isetval.camera.model_file import make_effect
 from isetval.core.campaign import Light, Shot
+from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import candidates_for
 from isetval.loop.curve_campaign import curve_campaign
-from isetval.loop.forms import _openings
+from isetval.loop.fit import Fit
+from isetval.loop.forms import _openings, _something_left
 from isetval.loop.given_side import in_large_pixels, shoot
 from isetval.measure.analyses.full_field import ring_means
 
@@ -73,3 +76,25 @@ def test_planted_angular_loss_is_named_with_its_forms(camera, tmp_path):
     # nearly proportional chief rays: no form is told from the planted one by strong evidence
     assert planted.log_evidence > max(row.log_evidence for row in effect.forms) - 3
     assert found.leftover is None
+
+
+def test_a_family_that_scatters_too_much_asks_for_another_form():
+    """The sum would sooner widen its error bars: a knee at 2500 e- for 2000 left 3 sigma without a pattern, and was not asked."""
+    n = 60
+    metrics = [Metric("mean", 100.0, 1.0, "DN", family="flat_mean") for _ in range(n)]
+    base = SimpleNamespace(mean=np.full(n, 100.0), covariance=np.eye(n))
+    problem = SimpleNamespace(
+        predictor=SimpleNamespace(table=SimpleNamespace(metrics=metrics)),
+        base=base,
+        covariance=np.eye(n),
+        keep=np.arange(n),
+        whitened=lambda vector: vector,
+    )
+
+    def left(scale):
+        z = scale * np.random.default_rng(4).permutation(np.repeat([-1.0, 1.0], n // 2))
+        fitted = Fit(None, (), np.zeros(0), np.zeros((0, 0)), base.mean, z, z, np.zeros((n, 0)), float(z @ z), True)
+        return _something_left(SimpleNamespace(problem=problem), SimpleNamespace(fitted=fitted))
+
+    assert left(1.7)
+    assert not left(1.0)
