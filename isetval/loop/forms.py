@@ -22,22 +22,22 @@ from isetval.loop.investigation import Investigation
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.result import FormRow
-from isetval.loop.score_test import make_frame
 from isetval.loop.subset_sum import Term, weigh
-from isetval.loop.unknown import family_excess, findings
+from isetval.loop.unknown import patterns_of
+from isetval.loop.unknown_evidence import Unknown, left_by
 
 Float = NDArray[np.float64]
 Say = Callable[[str], None]
 STEP_SHARE = 0.05  # of the prior's width: as the joint refits of candidates step
 FREE_SHARE = 0.1  # of the prior that the catalogue's form of an effect has: what a smooth other one, or a freed onset, has
-LEFT = 0.1  # probability of what is left, look-elsewhere in it, below which another form is worth its simulations
+LEFT = 0.1  # how often a right form may be asked for another: what that costs is a few simulations
 
 
 def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
-    Shape parameters and free forms are first weighed as further columns of
-    the linear model about the fit, where anything is left over; those that promise strong evidence are fitted in full.
+    Shape parameters and free forms are first weighed as further columns of the linear model about the fit, where anything is
+    left over; those that promise strong evidence are fitted in full.
     The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.
     """
     for name in sorted(m.name for m in found.effects):
@@ -106,8 +106,11 @@ def _something_left(case: Investigation, found: Hypothesis) -> bool:
 
     A second effect is not asked for: where a form is wrong the sum would sooner widen the error bars of its family.
     """
-    excess = family_excess(case.problem, found.fitted.residual, alpha=LEFT)
-    return bool(excess or findings(case.problem, make_frame(found.fitted), alpha=LEFT))
+    model = linear_model(case.problem, found.fitted)
+    left = left_by(model, weigh(model, ()).scales, patterns_of(case.problem))
+    return Unknown.of(left, {}).log_evidence() > -float(
+        np.log(LEFT)
+    )  # a ratio of evidences passes 1/p by chance in p of all cases
 
 
 def _promising(case: Investigation, found: Hypothesis, name: str) -> list[Candidate]:
