@@ -10,7 +10,7 @@ sys.path.insert(0, str(HERE.parent))
 
 from isetval.core.campaign import SCOPES, SHOT_NUISANCES  # noqa: E402
 from isetval.effects import catalogue  # noqa: E402
-from isetval.files import campaign_file, target_file  # noqa: E402
+from isetval.files import campaign_file, campaign_shots, target_file  # noqa: E402
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 NUMBER, TEXT, ARRAY, TEXTS = (
@@ -91,7 +91,7 @@ def campaign():
         "name": TEXT, "camera": TEXT, "notes": {}, "sensor": sensor(),
         "light": {"type": "object"}, "target": {"type": "object", "additionalProperties": {"anyOf": targets}},
         "nuisance": {"type": "array", "items": table(campaign_file._NUISANCE_KEYS, ("parameter", "sigma", "scope"), sigma=NUMBER)},
-        "shot": {"type": "array", "items": table(campaign_file._SHOT_KEYS, ("role",))},
+        "shot": {"type": "array", "items": table(campaign_shots.SHOT_KEYS, ("role",))},
     }  # fmt: skip
     return {"$schema": DRAFT, "title": "isetval campaign"} | table(campaign_file._KEYS, ("shot",), **parts)
 

@@ -1,7 +1,9 @@
 """The code of CONTRIBUTING.md, used as its text says: files put into the scanned folders, tests that pass."""
 
+import dataclasses
 import importlib
 import importlib.util
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -29,6 +31,19 @@ def _module(path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def _failures(module, **fixtures):
+    """Names of the tests of a module that an assertion of theirs stops."""
+    tests = {name: test for name, test in vars(module).items() if name.startswith("test_")}
+    assert tests
+    failed = []
+    for name, test in tests.items():
+        try:
+            test(**{key: fixtures[key] for key in inspect.signature(test).parameters})
+        except AssertionError:
+            failed.append(name)
+    return failed
 
 
 place = _module(ROOT / "tests" / "effects" / "conftest.py").place  # the fixture that the text names
@@ -78,16 +93,40 @@ def test_the_effect_is_in_the_catalogue_and_can_be_hidden(effect, capsys):
 
 def test_the_tests_of_the_effect_pass(effect, place, tmp_path):
     (tmp_path / "test_warm_side.py").write_text(effect)
-    module = _module(tmp_path / "test_warm_side.py")
-    module.test_battery()
-    module.test_edges_and_middle_of_the_sensor(place)
+    assert _failures(_module(tmp_path / "test_warm_side.py"), place=place) == []
+
+
+def test_the_tests_of_the_effect_fail_for_a_wrong_effect(effect, place, tmp_path, monkeypatch):
+    from isetval.effects.warm_side import WarmSide
+
+    (tmp_path / "test_warm_side.py").write_text(effect)
+    right = WarmSide.apply
+
+    def doubled(self, signal, context):  # right at the left edge and at its null, wrong by a factor everywhere else
+        return signal.with_values(2 * right(self, signal, context).values - signal.values)
+
+    monkeypatch.setattr(WarmSide, "apply", doubled)
+    assert _failures(_module(tmp_path / "test_warm_side.py"), place=place) == ["test_edges_and_middle_of_the_sensor"]
 
 
 def test_the_tests_of_the_analysis_pass(analysis, tmp_path):
     (tmp_path / "test_color_ratios.py").write_text(analysis)
-    module = _module(tmp_path / "test_color_ratios.py")
-    module.test_pulls()
-    module.test_the_ratios_share_their_green()
+    assert _failures(_module(tmp_path / "test_color_ratios.py")) == []
+
+
+def test_the_tests_of_the_analysis_fail_for_wrong_error_bars(analysis, tmp_path, monkeypatch):
+    from isetval.measure.analyses import color_ratios
+
+    (tmp_path / "test_color_ratios.py").write_text(analysis)
+    right = color_ratios.analyze
+
+    def too_sure(*args):
+        block = right(*args)
+        halved = tuple(dataclasses.replace(m, sigma=m.sigma / 2) for m in block.metrics)
+        return dataclasses.replace(block, metrics=halved, correlation=np.eye(2))
+
+    monkeypatch.setattr(color_ratios, "analyze", too_sure)
+    assert _failures(_module(tmp_path / "test_color_ratios.py")) == ["test_pulls", "test_the_ratios_share_their_green"]
 
 
 def test_the_analysis_stands_in_campaigns_and_comparisons(analysis):

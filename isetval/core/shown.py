@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any, Protocol, cast
@@ -42,16 +43,16 @@ def _drawing() -> Drawing:
     return cast(Drawing, importlib.import_module(_drawn_by[0]))
 
 
-class Shown:
+class Shown(ABC):
     """A result with a short ``repr``, a tidy table and plain JSON."""
 
+    @abstractmethod
     def headline(self) -> str:
         """What the result says, in one line."""
-        raise NotImplementedError
 
+    @abstractmethod
     def to_frame(self) -> pd.DataFrame:
         """A tidy table."""
-        raise NotImplementedError
 
     def to_json(self) -> Any:
         """All fields as plain numbers and words; None for what is not finite."""

@@ -71,7 +71,7 @@ def _structure(path: Path) -> Any:
 
     try:
         content = loadmat(path, struct_as_record=False, squeeze_me=True)
-    except NotImplementedError:
+    except NotImplementedError:  # how scipy says that it reads no HDF5
         raise InputError(f"{path}: is a MATLAB 7.3 file (HDF5); save it with -v7 in MATLAB") from None
     except (OSError, ValueError, TypeError, MatReadError) as error:
         raise InputError(f"{path}: is no MATLAB file that can be read ({error})") from None

@@ -10,7 +10,8 @@ from isetval.core.capture import Capture, field_mm
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric
 from isetval.measure.conditions import metric, shot_conditions
-from isetval.measure.edge.disk_edges import Disk, DiskSfr, LateralColor, disk_sfr, disks, lateral_color
+from isetval.measure.edge.disk_edges import Disk, disks
+from isetval.measure.edge.disk_results import DiskSfr, LateralColor, disk_sfr, lateral_color
 
 
 def disk_summary(shot: Shot, captures: Sequence[Capture]) -> Block:

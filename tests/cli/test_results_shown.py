@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
@@ -100,6 +101,9 @@ def test_a_picture_goes_into_given_axes_and_a_class_of_ones_own_can_be_drawn(sho
     class Mine(Drawn):
         def headline(self):
             return "mine"
+
+        def to_frame(self):
+            return pd.DataFrame()
 
     with pytest.raises(TypeError, match="Mine has no picture"):
         Mine().plot()
