@@ -96,7 +96,8 @@ def _svg(draw, found):
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
     told = draw(axes, found)
     out = io.StringIO()
-    figure.savefig(out, format="svg")
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "isetval"}):  # text as text: no glyphs drawn three times
+        figure.savefig(out, format="svg", metadata={"Date": None})
     plt.close(figure)
     text = out.getvalue()
     return text[text.index("<svg") :] if told else "<p>No trial tells.</p>"
@@ -120,7 +121,7 @@ def _power(axes, found):
         label="Φ(s - 3.67): 1 % false alarms",
     )
     axes.set(xscale="log", xlabel="expected significance s", ylabel="share", ylim=(-0.05, 1.05))
-    axes.legend(loc="lower right")
+    axes.legend(loc="lower right", fontsize="small")
     return bool(rows)
 
 

@@ -257,7 +257,7 @@ def _loop(
         diagnosis = isetval.diagnose(nominal, campaign.session(first), held, jobs=jobs, say=say)
         model = _add(nominal, diagnosis, campaign, own, step)
         step("5  comparing again, on captures that nothing was fitted to")
-        after = comparison_of(held, [nominal] if model is nominal else [nominal, model])
+        after = comparison_of(held, [nominal] if model is nominal else [nominal, model], regions=True)
     return before, diagnosis, after, model
 
 

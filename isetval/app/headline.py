@@ -21,11 +21,17 @@ SERIES = {
     "prnu": "PRNU",
     "dsnu_e": "DSNU",
     "dsnu_dn": "DSNU",
+    "dark_current_e_per_s": "dark current",
     "dark_current_dn_per_s": "dark current",
+    "full_well_e": "full well",
+    "snr_max_db": "SNR max",
+    "dynamic_range_db": "dynamic range",
     "black_level_dn": "black level",
 }
 """Summaries of a session by their metric name, in the order in which they are asked for."""
-ONE_OF = (("read_noise_e", "read_noise_dn"), ("dsnu_e", "dsnu_dn"))
+COLOR_ERRORS = {"de2000_gains_only": "with one gain a channel", "de2000_fitted": "with a fitted 3 x 3 matrix"}
+"""Of a chart's mean colour error, by what the camera's colours are corrected with."""
+ONE_OF = (("read_noise_e", "read_noise_dn"), ("dsnu_e", "dsnu_dn"), ("dark_current_e_per_s", "dark_current_dn_per_s"))
 """Where the first is known the second says the same in other units."""
 
 
@@ -34,18 +40,20 @@ def headline_tables(rows: Sequence[Row], *, files: Files | None = None, sign: st
 
     ``files`` are the described files of a measurement: their shapes say where in the frame an edge lies.
     """
-    found = [*_series(rows, sign), *_falloff(rows, sign), *_sharpness(rows, sign, files or {})]
+    found = [*_series(rows, sign), *_charts(rows, sign), *_falloff(rows, sign), *_sharpness(rows, sign, files or {})]
     return [(title, table) for title, table in found if len(table) > 1]
 
 
 def _quantity(row: Row, sign: str) -> str:
-    return with_sigma(row["value"], row["sigma"], row["unit"], sign=sign)
+    bound = "at least " if "no_saturated_level" in str(row.get("reason", "")) else ""
+    return bound + with_sigma(row["value"], row["sigma"], row["unit"], sign=sign)
 
 
 def _series(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
     own = [row for row in rows if row["name"] in SERIES and str(row.get("family", "")).startswith("summary_")]
     for session in dict.fromkeys(row.get("measurement_session", "") for row in own):
         cells = {(r["name"], r.get("channel", "")): r for r in own if r.get("measurement_session", "") == session}
+        cells |= _in_electrons(cells)
         planes = list(dict.fromkeys(plane for _, plane in cells))
         known = {name for name, _ in cells}
         twice = {second for first, second in ONE_OF if first in known}
@@ -54,6 +62,29 @@ def _series(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
             if name in known - twice:
                 table.append((words, *(_quantity(cells[name, p], sign) if (name, p) in cells else "" for p in planes)))
         yield f"sensor{_of(session)}", table
+
+
+def _in_electrons(cells: Mapping[tuple[str, str], Row]) -> dict[tuple[str, str], Row]:
+    """The dark current in e-/s of the planes whose conversion gain is known."""
+    out: dict[tuple[str, str], Row] = {}
+    for (name, plane), row in cells.items():
+        gain = cells.get(("gain_dn_per_e", plane))
+        if name == "dark_current_dn_per_s" and gain and gain["value"]:
+            value = row["value"] / gain["value"]
+            sigma = math.hypot(row["sigma"], value * gain["sigma"]) / gain["value"]
+            out["dark_current_e_per_s", plane] = {"value": value, "sigma": sigma, "unit": "e-/s"}
+    return out
+
+
+def _charts(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
+    """Colour error of every chart of 24 published patches: mean over its patches."""
+    own: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        if row["name"] in COLOR_ERRORS:
+            own.setdefault(str(row.get("shot") or row.get("file", "")), {})[row["name"]] = row
+    table: Table = [("dE2000", *COLOR_ERRORS.values())]
+    table += [(place, *(_quantity(here[name], sign) for name in COLOR_ERRORS if name in here)) for place, here in own.items()]
+    yield "chart, mean colour error of the patches", table
 
 
 def _of(session: str) -> str:
@@ -111,7 +142,7 @@ def _sharpness(rows: Sequence[Row], sign: str, files: Files) -> Iterable[tuple[s
                 table.append((words, _quantity(row, sign), _where(row)))
         else:
             table += [("one edge", _quantity(row, sign), _where(row)) for row in edges]
-        yield f"sharpness, channel {channel}, {len(edges)} edges", table
+        yield f"sharpness, channel {channel}, {len(edges)} edge{'s' if len(edges) > 1 else ''}", table
 
 
 def _place(row: Row, files: Files) -> tuple[float, str]:

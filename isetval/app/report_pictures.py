@@ -18,6 +18,7 @@ from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget
 
 ROLES = ("edge", "chart", "flat", "dark")
+SATURATED_SHARE = 0.05  # of the pixels at white: an edge's bright side or a chart's white would look flat
 MOST_SHOTS = 4  # rows of pictures: one of each role
 PIXELS_PER_PIXEL = 2  # of the page for one of the sensor
 SHOWN_UNITS = ("W/(sr m2)", "W/m2", "e-", "DN")
@@ -26,16 +27,21 @@ SHOWN_UNITS = ("W/(sr m2)", "W/m2", "e-", "DN")
 def comparison_pictures(models: Sequence[CameraModel], campaign: Campaign) -> dict[str, Any]:
     """Crops of measured and simulated captures on one grey scale, and the light path of a lit shot under every model."""
     shots = [shot for role in ROLES for shot in campaign.shots if shot.role == role and shot.name in campaign.captures]
-    chosen = [_telling(shots, role) for role in ROLES if any(shot.role == role for shot in shots)][:MOST_SHOTS]
+    chosen = [_telling(campaign, shots, role) for role in ROLES if any(shot.role == role for shot in shots)][:MOST_SHOTS]
     crops = [crop for shot in chosen if (crop := _crop(models, campaign, shot))]
     followed = next((shot for shot in shots if shot.role != "dark"), None)
     path = [] if followed is None else [_path(model, campaign, followed) for model in models]
     return {"crops": crops, "light_path": [p for p in path if p["steps"]]}
 
 
-def _telling(shots: Sequence[Shot], role: str) -> Shot:
-    """The shot of a role with the longest exposure: darks show their charge there, and nothing is lost for the others."""
-    return max((shot for shot in shots if shot.role == role), key=lambda shot: shot.exposure.time_s or 0.0)
+def _telling(campaign: Campaign, shots: Sequence[Shot], role: str) -> Shot:
+    """The shot of a role with the most light or charge that is not saturated: there the physics shows."""
+    own = sorted((s for s in shots if s.role == role), key=lambda s: -(s.exposure.time_s or 0.0) * (s.light_level or 1.0))
+    return next((shot for shot in own if not _saturated(campaign.captures.later(shot.name))), own[-1])
+
+
+def _saturated(frames: Sequence[Capture]) -> bool:
+    return bool(frames) and float(np.mean(frames[0].mosaic >= frames[0].sensor.white_dn)) > SATURATED_SHARE
 
 
 def _crop(models: Sequence[CameraModel], campaign: Campaign, shot: Shot) -> dict[str, Any] | None:

@@ -129,7 +129,8 @@ def check_sensor(model: CameraModel, plan: Campaign) -> None:
         if getattr(mine, name) != getattr(theirs, name):
             raise InputError(
                 f"the plan {plan.name} has a sensor with {name} {getattr(theirs, name)}, the model {model.name} "
-                f"{getattr(mine, name)}; use the model that belongs to the plan"
+                f"{getattr(mine, name)}; use the model that belongs to the plan, or name "
+                "this one in it (camera in place of [sensor]; isetval campaign init --camera MODEL drafts a folder so)"
             )
 
 

@@ -50,4 +50,7 @@ def read_capture(
     if suffix in libraw_file.SUFFIXES:
         return libraw_file.read_libraw(path, sidecar)
     known = f".dng, {', '.join(image_file.SUFFIXES)} and the raw suffixes of LibRaw ({', '.join(libraw_file.SUFFIXES[:4])} ...)"
-    raise InputError(f"{path}: {suffix or 'no suffix'} is no kind of picture that isetval reads; it reads {known}")
+    raise InputError(
+        f"{path}: {suffix or 'no suffix'} is no kind of picture that isetval reads; it reads {known}, and headerless raw "
+        "whose size is stated (isetval measure --raw-shape ROWSxCOLS --cfa RGGB --bits 12 --black-dn 0)"
+    )

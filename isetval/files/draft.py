@@ -208,13 +208,18 @@ def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], c
     """What no file says: what it is, what it needs, what happens without."""
     out = []
     if not camera:
-        needs = 'the nominal model of this camera, camera = "camera.toml" in this folder.'
+        needs = (
+            'the nominal model of this camera: camera = "camera.toml" in this folder, or "isetval:NAME", in place of [sensor]; '
+            "isetval campaign init --camera MODEL drafts it so."
+        )
         out.append(("camera", needs, "the campaign can be measured, not compared or diagnosed."))
+    alike: dict[str, list[str]] = {}
     for light in work.lights.values():
-        now = _spectrum_words(light)
+        alike.setdefault(_spectrum_words(light), []).append(f"[light.{light.name}]")
+    for now, names in alike.items():
         needs = f"a CSV of its spectral radiance in W/(sr m2 nm), in place of radiance, column and scale. Now: {now}."
         without = "colour ratios carry its wide prior and tell little of filters and quantum efficiency."
-        out.append((f"[light.{light.name}]", needs, without))
+        out.append((", ".join(names), needs, without))
     roles = {shot.role for shot in work.shots if not _of_scene(shot)}
     if any(map(_of_scene, work.shots)):
         needs = "the spectra of its lamp and papers in the scene file ([spectra.NAME])."

@@ -10,7 +10,7 @@ from pathlib import Path
 from isetval.core.errors import InputError
 from isetval.files.captures import FileCaptures
 from isetval.files.file_facts import FileFacts, facts_of
-from isetval.files.loose_files import files_below
+from isetval.files.loose_files import files_below, nothing_in
 
 Progress = Callable[[str, int, int], None]
 TURNS_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: 270.0}  # Exif orientation, how the camera was turned
@@ -52,7 +52,7 @@ def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFact
         raise InputError(f"{folder}: is no folder; name the folder that holds the raw files")
     files = [path.relative_to(folder).as_posix() for path in files_below(folder)]
     if not files:
-        raise InputError(f"{folder}: holds no DNG file at any level, nor a picture with a sidecar of levels; name their folder")
+        raise InputError(nothing_in(folder))
     captures = FileCaptures({"": files}, lambda _, file: read_capture(folder / file), folder=folder)
     facts = []
     for i, file in enumerate(files):

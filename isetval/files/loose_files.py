@@ -73,15 +73,27 @@ def raw_files(paths: Iterable[Path]) -> list[Path]:
         if path.is_dir():
             inside = files_below(path)
             if not inside:
-                raise InputError(
-                    f"{path}: holds no DNG file at any level, nor a picture with a sidecar; name files or their folder"
-                )
+                raise InputError(nothing_in(path))
             found += inside
         elif path.exists():
             found.append(path)
         else:
             raise InputError(f"{path}: does not exist; check the path")
     return list(dict.fromkeys(found))
+
+
+def nothing_in(folder: Path) -> str:
+    """Why nothing of a folder can be measured, and what would help: pictures that lack levels, or nothing at all."""
+    from isetval.files.image_file import SUFFIXES
+
+    lacking = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    if not lacking:
+        return f"{folder}: holds no DNG file at any level, nor another raw picture; name files or their folder"
+    return (
+        f"{folder}: its {len(lacking)} pictures ({lacking[0].relative_to(folder)} ...) say neither levels nor pattern; write "
+        f'cfa = "RGGB" (or "MONO"), black_dn = 0, bits = 8 (or white_dn) and pixel_um into {folder / "images.toml"}: '
+        "docs/formats.md shows one that also reads exposure times from file names"
+    )
 
 
 def files_below(folder: Path) -> list[Path]:

@@ -21,6 +21,7 @@ from isetval.loop.gaussian import degrees_spent, expected_mean_square, square, w
 from isetval.loop.given_side import given_rows
 from isetval.loop.prepared import Prepared, prepare, repeat_gate
 from isetval.loop.problem import Problem
+from isetval.loop.region_change import region_change
 from isetval.loop.telling import Progress, Say, Teller
 
 if TYPE_CHECKING:
@@ -183,6 +184,7 @@ def compare(
     model: CameraModel | Sequence[CameraModel],
     campaign: Campaign,
     *,
+    regions: bool = False,
     jobs: int = 1,
     say: Say | None = None,
     progress: Progress | None = None,
@@ -195,6 +197,8 @@ def compare(
         Several models give the ladder; all are predicted with the same seeds and estimators.
     campaign : Campaign
         With captures.
+    regions : bool
+        Measure and simulate on smaller regions too, for the error budget: how far the result hangs on their choice.
     jobs : int
         Worker processes.
     say : callable, optional
@@ -212,11 +216,11 @@ def compare(
     if twice:
         raise InputError(f"two models are called {twice[0]!r}; give each its own name in its file")
     with prepare(models[0], campaign, jobs=jobs, say=Teller.of(say, progress)) as prepared:
-        return comparison_of(prepared, models)
+        return comparison_of(prepared, models, regions=regions)
 
 
-def comparison_of(prepared: Prepared, models: Sequence[CameraModel]) -> Comparison:
-    """The comparison of a campaign that is already measured."""
+def comparison_of(prepared: Prepared, models: Sequence[CameraModel], *, regions: bool = False) -> Comparison:
+    """The comparison of a campaign that is already measured; ``regions`` as in `compare`."""
     import pandas as pd
 
     frames, nuisances = [], {}
@@ -225,7 +229,9 @@ def comparison_of(prepared: Prepared, models: Sequence[CameraModel]) -> Comparis
         fitted = prepared.fit_nuisances(model)
         frames.append(_rows(prepared, model, fitted))
         nuisances[model.name] = {f.label: fitted.value(f.label) for f in fitted.free}
-        budget += error_budget(prepared.problem_for(model), fitted, model.name)
+        problem = prepared.problem_for(model)
+        moved = region_change(problem, fitted, prepared.campaign) if regions else None
+        budget += error_budget(prepared, problem, fitted, moved)
     return Comparison(
         table=pd.concat(frames, ignore_index=True),
         ladder=tuple(ladder_rows(prepared, models)),

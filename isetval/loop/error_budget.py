@@ -1,23 +1,32 @@
-"""What the difference between measured and simulated is made of, by family: captures, specimen, simulation, light, model."""
+"""What the difference between measured and simulated is made of, by family: noise, renders, repeats, regions, the model."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.loop.fit import Fit
+from isetval.loop.prepared import Prepared, repeat_differences
 from isetval.loop.problem import Problem
+from isetval.loop.region_change import RegionChange
+
+Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class BudgetRow:
-    """Shares of the variance of measured minus predicted in a family of metrics; the first four add up to 1.
+    """Shares of the variance of measured minus predicted in a family of metrics, and what is beyond that variance.
 
-    ``sampling`` is the noise of the captures (more frames), ``specimen`` what several shots share, such as the fixed pattern of
-    the same pixels (more places), ``simulation`` the finite number of simulated campaigns and, in rendered scenes, of rays
-    (more replicas), ``light`` the flicker between frames; ``unexplained`` is the mean square of z beyond 1: what no error bar
-    explains, in the same unit.
+    The first five add up to 1: ``sampling`` is the noise of the captures (more frames), ``specimen`` what several shots share,
+    such as the fixed pattern of the same pixels (more places), ``simulation`` the finite number of simulated campaigns (more
+    replicas), ``render`` the finite number of rays in 3-D scenes (more rays), ``light`` the flicker between frames.
+
+    The others are mean squares of z beyond what that variance explains, in its unit: ``unexplained`` all of it, ``repeat``
+    what set-ups made anew show of it (None without repeats), ``misfit`` what is left of it for the model; ``region`` is how
+    far z moves when every region is chosen smaller, beyond noise (None where it was not tried; below 0 by chance).
     """
 
     model: str
@@ -26,25 +35,68 @@ class BudgetRow:
     sampling: float
     specimen: float
     simulation: float
+    render: float
     light: float
     unexplained: float
+    repeat: float | None
+    region: float | None
+    misfit: float
 
 
-def error_budget(problem: Problem, fitted: Fit, model: str) -> tuple[BudgetRow, ...]:
-    """The budget of every family under one model, nuisances refitted."""
+def error_budget(prepared: Prepared, problem: Problem, fitted: Fit, regions: RegionChange | None) -> tuple[BudgetRow, ...]:
+    """The budget of every family under the model of ``problem``, nuisances refitted."""
     keep = problem.keep
-    metrics = [problem.predictor.table.metrics[i] for i in keep]
-    total = np.diag(problem.covariance)[keep]
-    captures = np.diag(problem.base.covariance)[keep]
-    own = np.array([m.sigma for m in metrics]) ** 2 / np.maximum(problem.predictor.table.sigma[keep] ** 2, 1e-300)
-    simulation = captures / problem.base.replicas
-    parts = np.stack([own * captures, (1 - own) * captures, simulation, np.maximum(total - captures - simulation, 0)]) / total
-    square = fitted.residual[keep] ** 2 / total
-    families = np.array([m.family for m in metrics])
+    parts = _parts(problem)
+    square = fitted.residual[keep] ** 2 / np.diag(problem.covariance)[keep]
+    families = np.array([problem.predictor.table.metrics[i].family for i in keep])
+    repeats = _repeats(prepared)
     rows = []
     for family in dict.fromkeys(families):
         these = families == family
-        sampling, specimen, simulated, light = (float(v) for v in parts[:, these].mean(axis=1))
         left = max(float(square[these].mean()) - 1.0, 0.0)
-        rows.append(BudgetRow(model, str(family), int(these.sum()), sampling, specimen, simulated, light, left))
+        repeat = repeats.get(str(family))
+        misfit = max(left - max(repeat or 0.0, 0.0), 0.0)
+        shares = {name: float(part[these].mean()) for name, part in parts.items()}
+        rows.append(
+            BudgetRow(
+                problem.nominal.name, str(family), int(these.sum()), **shares, unexplained=left, repeat=repeat,
+                region=_moved(regions, these), misfit=misfit,
+            )
+        )  # fmt: skip
     return tuple(rows)
+
+
+def _parts(problem: Problem) -> dict[str, Float]:
+    """Shares of the variance of each kept row."""
+    keep, base = problem.keep, problem.base
+    table = problem.predictor.table
+    total = np.diag(problem.covariance)[keep]
+    render = np.broadcast_to(base.render, len(table.metrics))[keep]
+    captures = np.maximum(np.diag(base.covariance)[keep] - render, 0.0)
+    sigma = np.array([table.metrics[i].sigma for i in keep])
+    own = sigma**2 / np.maximum(table.sigma[keep] ** 2, 1e-300)
+    more = 1 / base.replicas
+    shares = {
+        "sampling": own * captures,
+        "specimen": (1 - own) * captures,
+        "simulation": captures * more,
+        "render": render * (1 + more),
+    }
+    shares["light"] = np.maximum(total - sum(shares.values()), 0.0)
+    return {name: part / total for name, part in shares.items()}
+
+
+def _repeats(prepared: Prepared) -> Mapping[str, float]:
+    """Mean square of z between repeated set-ups beyond 1, by family."""
+    rows, difference, spread = repeat_differences(prepared)
+    squares: dict[str, list[float]] = {}
+    for (row, _), d, variance in zip(rows, difference, np.diag(spread), strict=True):
+        squares.setdefault(prepared.table.metrics[row].family, []).append(d**2 / variance)
+    return {family: float(np.mean(own)) - 1.0 for family, own in squares.items()}
+
+
+def _moved(regions: RegionChange | None, these: NDArray[np.bool_]) -> float | None:
+    if regions is None:
+        return None
+    known = these & np.isfinite(regions.change) & np.isfinite(regions.noise)
+    return float(np.mean(regions.change[known] ** 2 - regions.noise[known])) if known.any() else None

@@ -57,13 +57,15 @@ class Base:
     """Mean and covariance of the metrics at the nominal point, from ``replicas`` simulated campaigns.
 
     ``values`` is (replicas, metrics); ``covariance`` (metrics, metrics) is of one campaign, scaled by
-    family and shot to the scatter that the replicas show; ``scale`` (metrics,) holds those factors of sigma.
+    family and shot to the scatter that the replicas show; ``scale`` (metrics,) holds those factors of sigma.  ``render`` is
+    the part of its diagonal, (metrics,), that comes from the noise of renders.
     """
 
     mean: Float
     covariance: Float
     values: Float
     scale: Float
+    render: Float | float = 0.0
 
     @property
     def replicas(self) -> int:
@@ -202,9 +204,9 @@ class Predictor:
             [Sampled.unpacked(vector).only(self._pick[shot.name]) for shot, vector in zip(self.shots, known, strict=True)]
         )
         scale = scatter(values, measured_only(covariance, self.table), self.table.metrics)
-        covariance = covariance * np.outer(scale, scale) + self._of_renders(every[0])
-        covariance = with_stated_covariance(covariance, self.table, replicas)
-        return Base(values.mean(axis=0), covariance, values, scale)
+        rendered = self._of_renders(every[0])
+        covariance = with_stated_covariance(covariance * np.outer(scale, scale) + rendered, self.table, replicas)
+        return Base(values.mean(axis=0), covariance, values, scale, np.diag(rendered))
 
     def _gathered(self, samples: Sequence[Sampled]) -> tuple[Float, Float]:
         """Values (replicas, metrics) and the stated covariance (metrics, metrics) of one campaign."""

@@ -187,18 +187,9 @@ def repeat_gate(prepared: Prepared) -> dict[str, Any]:
     dict
         ``run`` (False without repeats), ``failed``, ``mean_square_z``, ``n``, ``allowed``.
     """
-    problem, table = prepared.problem, prepared.table
-    pairs = [(s, s.repeat_of) for s in prepared.campaign.shots if s.repeat_of is not None]
-    rows = _paired_rows(table, problem, pairs)
+    rows, difference, spread = repeat_differences(prepared)
     if not rows:
         return {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None}
-    pick = np.zeros((len(rows), len(table.metrics)))
-    for i, (a, b) in enumerate(rows):
-        pick[i, a], pick[i, b] = 1.0, -1.0
-    local = pick[:, problem.keep]
-    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / (1 + 1 / problem.base.replicas)
-    spread = local @ covariance @ local.T + _set_up_part(problem, prepared.fit_nuisances(prepared.model), local)
-    difference = pick @ np.nan_to_num(table.values)
     values, vectors = np.linalg.eigh(spread)
     use = values > 1e-9 * values.max()
     z = (vectors.T @ difference)[use] / np.sqrt(values[use])
@@ -210,6 +201,21 @@ def repeat_gate(prepared: Prepared) -> dict[str, Any]:
     failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
     allowed = max(high, 1 + MIN_GATE) - 1
     return {"run": True, "failed": failed, "mean_square_z": square, "n": n, "allowed": allowed}
+
+
+def repeat_differences(prepared: Prepared) -> tuple[list[tuple[int, int]], Float, Float]:
+    """Rows of repeated set-ups in pairs, their differences (pairs,), and the covariance (pairs, pairs) that these should have."""
+    problem, table = prepared.problem, prepared.table
+    rows = _paired_rows(table, problem, [(s, s.repeat_of) for s in prepared.campaign.shots if s.repeat_of is not None])
+    pick = np.zeros((len(rows), len(table.metrics)))
+    for i, (a, b) in enumerate(rows):
+        pick[i, a], pick[i, b] = 1.0, -1.0
+    local = pick[:, problem.keep]
+    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / (1 + 1 / problem.base.replicas)
+    spread = local @ covariance @ local.T + (
+        _set_up_part(problem, prepared.fit_nuisances(prepared.model), local) if rows else 0.0
+    )
+    return rows, pick @ np.nan_to_num(table.values), spread
 
 
 def _paired_rows(table: MetricTable, problem: Problem, pairs: Sequence[tuple[Shot, str | None]]) -> list[tuple[int, int]]:

@@ -14,6 +14,8 @@ from isetval.core.capture import Capture, plane_black_dn, planes_of
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric
 from isetval.measure.color import chart
+from isetval.measure.color.chart_layout import PATCH_NAMES
+from isetval.measure.color.chart_measurement import ChartResult
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.disk_summary import disk_summary
 from isetval.measure.noise.code_counts import code_counts
@@ -42,6 +44,7 @@ def shot_summaries(
         ("plane levels", lambda: Block(()) if part_only else plane_levels(shot, captures)),
         ("disks", lambda: disk_summary(shot, captures)),
         ("mean-variance line", lambda: patch_noise(shot, captures)),
+        ("colour error", lambda: chart_color_error(shot, captures)),
         ("uniform patches", lambda: patch_summary(shot, captures, _options(shot, patches))),
     )
     blocks = []
@@ -85,12 +88,9 @@ def patch_noise(shot: Shot, captures: Sequence[Capture]) -> Block:
     ``patch_noise`` is that of one pixel from neighbour differences (shading does not enter, pixel fixed pattern does);
     the slope of the line is the conversion gain in DN/e- where noise is shot and read noise only.
     """
-    patches = getattr(shot.target, "patches", ())
-    if not patches:
+    if not getattr(shot.target, "patches", ()):
         return Block(())
-    margin = getattr(shot.target, "margin_px", 0)
-    boxes = [(r0 + margin, r1 - margin, c0 + margin, c1 - margin) for r0, r1, c0, c1 in (p.box for p in patches)]
-    result = chart(captures[0], boxes=boxes, names=[p.name for p in patches])
+    result = _chart_of(shot, captures[0])
     conditions = shot_conditions(shot, captures[0].sensor) | {"summary": True}
     rows = []
     for entry in result.rows():
@@ -106,3 +106,25 @@ def patch_noise(shot: Shot, captures: Sequence[Capture]) -> Block:
         )
         rows += [metric(conditions, name, value, sigma, unit, **place) for name, value, sigma, unit in values]
     return Block(tuple(rows))
+
+
+def chart_color_error(shot: Shot, captures: Sequence[Capture]) -> Block:
+    """Mean CIEDE2000 of a chart whose patches carry the published names, with gains only and with a fitted 3 x 3 matrix."""
+    names = tuple(patch.name for patch in getattr(shot.target, "patches", ()))
+    if names != PATCH_NAMES or captures[0].sensor.cfa == "MONO":
+        return Block(())
+    error = _chart_of(shot, captures[0]).color_error()
+    conditions = shot_conditions(shot, captures[0].sensor) | {"summary": True, "family": "summary_color_error"}
+    values = (
+        ("de2000_gains_only", error.mean_gains_only, error.sigma_gains_only),
+        ("de2000_fitted", error.mean_fitted, error.sigma_fitted),
+    )
+    return Block(tuple(metric(conditions, name, value, max(sigma, LEAST_SIGMA_DN), "1") for name, value, sigma in values))
+
+
+def _chart_of(shot: Shot, capture: Capture) -> ChartResult:
+    """The patches of a shot's target in one frame."""
+    patches, margin = getattr(shot.target, "patches", ()), getattr(shot.target, "margin_px", 0)
+    boxes = [(r0 + margin, r1 - margin, c0 + margin, c1 - margin) for r0, r1, c0, c1 in (p.box for p in patches)]
+    result: ChartResult = chart(capture, boxes=boxes, names=[p.name for p in patches])
+    return result

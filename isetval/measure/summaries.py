@@ -19,8 +19,11 @@ from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric
 from isetval.core.quantity import Quantity
 from isetval.measure.noise import dark, photon_transfer
+from isetval.measure.noise.emva import reach_of, saturated
+from isetval.measure.noise.transfer_result import PhotonTransfer
 from isetval.measure.shading import relative_illumination
 
+LOWER_BOUND = "no_saturated_level"
 LEAST_PLACES = 6  # of the field: four terms of a fall-off, and two to check them by
 
 Frames = Mapping[str, Sequence[Capture]]
@@ -79,7 +82,22 @@ def _transfer_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[
         raise InputError(f"its flats ask for {' and '.join(sorted(methods))}; one photon transfer needs one method")
     photons = [s.photons_per_pixel for s in _of_one_window(frames, shots, "flat") for _ in frames[s.name]]
     stated = None if None in photons else photons
-    return _rows(photon_transfer(flats, dark=darks or None, method=methods.pop(), photons_per_pixel=stated), session, "flat")
+    result = photon_transfer(flats, dark=darks or None, method=methods.pop(), photons_per_pixel=stated)
+    return _rows(result, session, "flat") + _reach_rows(result, session)
+
+
+def _reach_rows(result: PhotonTransfer, session: str) -> list[Metric]:
+    """Full well, dynamic range and largest signal-to-noise ratio of each plane; lower bounds where nothing was saturated."""
+    rows = []
+    for plane, transfer in result.items():
+        gain = transfer.gain_dn_per_e
+        if not (math.isfinite(gain.value) and gain.value > 0 and any(level.used for level in transfer.levels)):
+            continue
+        doubt = "" if saturated(transfer) else LOWER_BOUND
+        reach = vars(reach_of(transfer))
+        kept = {name: reach[name] for name in ("full_well_e", "dynamic_range_db", "snr_max_db")}
+        rows += [_row(name, quantity, session, plane, "flat", doubt) for name, quantity in kept.items() if _known(quantity)]
+    return rows
 
 
 def _same_window(frames: Frames, shots: Sequence[Shot], role: str) -> Sequence[Capture]:
@@ -153,21 +171,26 @@ def _rows(result: Any, session: str, role: str) -> list[Metric]:
     rows = []
     for plane in result:
         for name, quantity in vars(result[plane]).items():
-            if not isinstance(quantity, Quantity) or not math.isfinite(quantity.value + quantity.total_sigma):
-                continue
-            rows.append(
-                Metric(
-                    name,
-                    float(quantity.value),
-                    float(quantity.total_sigma),
-                    quantity.unit,
-                    f"summary_{name}",
-                    plane,
-                    role=role,
-                    measurement_session=session,
-                    region=f"session {session}",
-                    reason=" ".join(result[plane].flags),
-                    summary=True,
-                )
-            )
+            if isinstance(quantity, Quantity) and _known(quantity):
+                rows.append(_row(name, quantity, session, plane, role, " ".join(result[plane].flags)))
     return rows
+
+
+def _known(quantity: Quantity) -> bool:
+    return math.isfinite(quantity.value + quantity.total_sigma)
+
+
+def _row(name: str, quantity: Quantity, session: str, plane: str, role: str, reason: str) -> Metric:
+    return Metric(
+        name,
+        float(quantity.value),
+        float(quantity.total_sigma),
+        quantity.unit,
+        f"summary_{name}",
+        plane,
+        role=role,
+        measurement_session=session,
+        region=f"session {session}",
+        reason=reason,
+        summary=True,
+    )

@@ -10,30 +10,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-import isetval
-from isetval.app.cli import main
 from isetval.app.report import report_html
 from isetval.app.report.budget_parts import budget, light_paths
 from isetval.app.report_pictures import comparison_pictures
 from isetval.camera.light_path import light_path
 from isetval.camera.model_file import make_effect
-from isetval.core.toml import data_folder
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
-NAMES = ("A_dark0", "A_dark2", "A_flat2", "A_flat4", "A_edge_center_v_z0")
-
-
-@pytest.fixture(scope="module")
-def model():
-    return isetval.load_model("isetval:pixel4a")
-
-
-@pytest.fixture(scope="module")
-def captures(model):
-    """Shot by a camera with more dark current than its model knows."""
-    plan = isetval.load_campaign(data_folder() / "demo" / "plan.toml").only(NAMES)
-    camera = model.with_effect(model.effect("dark_current").changed(rate_e_per_s=2.0))
-    return isetval.simulate(camera, plan, seed=3)
 
 
 def test_the_light_path_follows_the_equations_of_its_effects(model, captures):
@@ -78,26 +61,10 @@ def test_captures_stand_beside_simulations_on_one_scale(model, captures):
     assert all(path["pictures"] for path in light_paths(found))
 
 
-@pytest.fixture(scope="module")
-def result(model, captures, tmp_path_factory):
-    """The comparison of the nominal and the true model, as the command writes it."""
-    from isetval.files.campaign_writer import write_campaign
-
-    folder = tmp_path_factory.mktemp("budget")
-    write_campaign(captures, folder / "lab", model=model)
-    better = model.with_effect(model.effect("dark_current").changed(rate_e_per_s=2.0))
-    isetval.camera.model_writer.save_model(isetval.load_model("isetval:pixel4a"), folder / "a.toml")
-    better.save(folder / "b.toml")
-    (folder / "b.toml").write_text((folder / "b.toml").read_text().replace('name = "pixel4a"', 'name = "mended"', 1))
-    words = ["compare", folder / "a.toml", folder / "b.toml", folder / "lab", "-j", 1, "-q", "-o", folder / "c.json"]
-    assert main([str(w) for w in words]) == 0
-    return json.loads((folder / "c.json").read_text())
-
-
 def test_the_budget_adds_up_and_tells_a_wrong_model_from_a_right_one(result):
     rows = {(r["model"], r["family"]): r for r in result["budget"]}
     for row in rows.values():
-        assert sum(row[k] for k in ("sampling", "specimen", "simulation", "light")) == pytest.approx(1)
+        assert sum(row[k] for k in ("sampling", "specimen", "simulation", "render", "light")) == pytest.approx(1)
         # R replicas add 1/R of the captures' variance; the flicker stands beside both
         assert row["simulation"] == pytest.approx((1 - row["light"]) / (1 + result["settings"]["replicas"]))
     assert rows["pixel4a", "dark_mean"]["unexplained"] > 100

@@ -65,7 +65,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("folder", metavar="FOLDER", type=Path)
     p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "scene"), help="what all files show (default: found out)")
     p.add_argument(
-        "--camera", default="", metavar="MODEL", help="the nominal camera model: a file, or isetval:pixel4a/camera.toml"
+        "--camera", default="", metavar="MODEL", help="the nominal camera model: a file, or isetval:NAME (isetval cameras)"
     )
     p.add_argument(
         "--scene",

@@ -205,7 +205,8 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     model, campaign, inputs = load_both(args.models[0], args.campaign, args)
     models = [model, *(isetval.load_model(m) for m in args.models[1:])]
     inputs |= {m: file_hash(model_path(m)) for m in args.models}
-    found = isetval.compare(_distinct(models, args.models), campaign, jobs=args.jobs, say=console.say, progress=console.progress)
+    told = {"say": console.say, "progress": console.progress}
+    found = isetval.compare(_distinct(models, args.models), campaign, regions=True, jobs=args.jobs, **told)
     inputs |= campaign.captures.hashes
     result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
     if args.output is not None:  # the page that is drawn from the result shows them

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from isetval.app.cli.tables import text_table
+from isetval.app.remarks import gathered
 from isetval.app.words import effect_words, probability_words, relative_words, state_of, verdict_words, with_sigma
 
 FITTED = {
@@ -60,7 +61,7 @@ def comparison_lines(result: Mapping[str, Any]) -> list[str]:
     lines = [gate_line(result["gate"]), ""]
     lines += ladder_table(result["ladder"])
     lines += _worst_lines(result)
-    lines += [f"note: {note}" for note in result["notes"]]
+    lines += [f"note: {note}" for note in gathered(result["notes"])]
     return lines
 
 
@@ -148,7 +149,7 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
     lines += ["", f"not observable with these captures: {', '.join(result['unobservable']) or 'none'}"]
     lines += next_lines(result["next_captures"])
     lines += ["", *ladder_table(result["ladder"])]
-    lines += [f"note: {note}" for note in result["notes"]]
+    lines += [f"note: {note}" for note in gathered(result["notes"])]
     if hint and result["effects"]:
         first = result["effects"][0]["name"]
         lines += ["", f"next: isetval add {hint['model']} {first} --from {hint['diagnosis']} -o model2.toml"]

@@ -209,7 +209,7 @@ def _campaign_lines(table: MetricTable) -> list[str]:
     families: dict[tuple[str, str], list[Metric]] = {}
     for m in table.metrics:
         families.setdefault((m.role, m.family), []).append(m)
-    shots = {m.shot for m in table.metrics}
+    shots = {m.shot for m in table.metrics if m.shot}  # summaries of a session have none
     lines = [f"# {len(table.metrics)} metrics of {len(shots)} shots"]
     body = [
         (role, family, len(rows), len({m.shot for m in rows}), " ".join(dict.fromkeys(m.unit for m in rows)))
@@ -221,9 +221,10 @@ def _campaign_lines(table: MetricTable) -> list[str]:
 
 def _doubt_lines(skipped: Iterable[tuple[str, str]], notes: Iterable[str]) -> list[str]:
     from isetval.app.cli.file_words import counted_rejections
+    from isetval.app.remarks import gathered
 
     lines = [f"left out: {file}: {reason}" for file, reason in skipped]
-    return lines + [f"note: {note}" for note in counted_rejections(list(notes))]
+    return lines + [f"note: {note}" for note in gathered(counted_rejections(list(notes)))]
 
 
 def metric_row(m: Metric, sigma: float, *, file: str = "") -> dict[str, Any]:

@@ -13,6 +13,7 @@ from isetval.measure.noise.dark_frames import Dark
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+FAR_CODES = 16  # between occurring codes: more than a converter leaves out
 KEPT_PERCENT = (0.1, 99.9)  # beyond them lie hot and dead pixels
 
 
@@ -50,7 +51,10 @@ def plot_dark_codes(capture: Capture, ax: Axes | None = None) -> Axes:
     for plane in planes_of(capture):
         count = np.bincount(plane_view(capture, plane)[0].ravel())
         code = np.flatnonzero(count)
-        axis.plot(code, count[code], ".-", ms=3, lw=0.6, color=PLANE_COLORS.get(plane, "black"), label=plane)
+        last = code[np.flatnonzero(np.diff(code) > FAR_CODES)]
+        code = np.sort(np.append(code, last + 1))  # where nothing was counted: no line across
+        often = np.where(count[code] > 0, count[code], np.nan)
+        axis.plot(code, often, ".-", ms=3, lw=0.6, color=PLANE_COLORS.get(plane, "black"), label=plane)
     axis.set(xlabel="code (DN)", ylabel="pixels", yscale="log")
     axis.grid(alpha=0.3)
     axis.legend(fontsize="small")

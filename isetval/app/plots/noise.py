@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+LOG_SPAN = 5.0  # ratio of the ends of an axis from which decades say more than differences
+
+
 def transfer_figure(result: PhotonTransfer) -> Figure:
     """Three panels: variance against mean, its departure from the fit in sigmas, fixed pattern against mean."""
     from matplotlib.figure import Figure
@@ -54,8 +57,13 @@ def plot_fixed_pattern(result: PhotonTransfer, ax: Axes | None = None) -> Axes:
     axis = own_axes(ax)
     for plane, transfer in result.items():
         _pattern(axis, transfer, PLANE_COLORS.get(plane, "black"))
-    axis.set(xlabel="mean above black (DN)", ylabel="fixed pixel pattern (DN)", xscale="log", yscale="log")
-    axis.xaxis.set_minor_formatter("")
+    axis.set(xlabel="mean above black (DN)", ylabel="fixed pixel pattern (DN)")
+    marks = np.vstack([np.ones((1, 2)), *(np.asarray(line.get_xydata()) for line in axis.lines)])[1:]
+    if marks.size and marks.min() > 0 and np.all(marks.max(axis=0) > LOG_SPAN * marks.min(axis=0)):
+        axis.set(xscale="log", yscale="log")
+        for scale in (axis.xaxis, axis.yaxis):  # decades are few: plain numbers
+            scale.set_major_formatter("{x:g}")
+            scale.set_minor_formatter("")
     return axis
 
 

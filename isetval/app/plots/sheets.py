@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +19,8 @@ from isetval.core.jsonable import plain
 from isetval.core.quantity import Quantity
 from isetval.core.scene import ChartTarget
 from isetval.measure import chart, dark, emva1288, find_edges, photon_transfer, relative_illumination, sfr
+from isetval.measure.noise.emva import saturated
+from isetval.measure.noise.transfer_result import PlaneTransfer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -165,7 +169,10 @@ def transfer_sheet(
     for symbol in dict.fromkeys(row.symbol for row in rows):
         own = {row.plane: row for row in rows if row.symbol == symbol}
         head = next(iter(own.values()))
-        cells = (with_sigma(own[p].value, own[p].sigma, own[p].unit, sign="±") if p in own else "" for p in planes)
+        cells = (
+            _bound(symbol, result[p]) + with_sigma(own[p].value, own[p].sigma, own[p].unit, sign="±") if p in own else ""
+            for p in planes
+        )
         table.append((f"{head.name} ({symbol})", *cells))
     remarks = _flag_words({plane: transfer.flags for plane, transfer in result.items()})
     curves = {
@@ -183,6 +190,10 @@ def transfer_sheet(
         for plane, transfer in result.items()
     }
     return Sheet(f"{name}: photon transfer", table, remarks, noise.transfer_figure(result), {"photon_transfer": plain(curves)})
+
+
+def _bound(symbol: str, transfer: PlaneTransfer) -> str:
+    return "at least " if symbol in ("mu_e.sat", "DR", "SNR_max") and not saturated(transfer) else ""
 
 
 def _flag_words(flags: Mapping[str, Sequence[str]]) -> list[str]:
@@ -212,7 +223,7 @@ def dark_sheet(darks: Sequence[Capture], name: str) -> Sheet:
     for key in quantities:
         own = [getattr(d, key) for d in result.values()]
         if any(np.isfinite(q.value) for q in own):
-            table.append((key.replace("_", " "), *(with_sigma(q.value, q.total_sigma, q.unit, sign="±") for q in own)))
+            table.append((_spoken(key), *map(_quantity_words, own)))
     table.append(("hot pixels, noisy pixels", *(f"{d.hot_pixels}, {d.noisy_pixels}" for d in result.values())))
     remarks = _flag_words({plane: d.flags for plane, d in result.items()})
     curves = {
@@ -220,6 +231,17 @@ def dark_sheet(darks: Sequence[Capture], name: str) -> Sheet:
         for plane, d in result.items()
     }
     return Sheet(f"{name}: dark frames", table, remarks, figure, {"dark": plain(curves)})
+
+
+def _spoken(field_name: str) -> str:
+    """``dark_current_dn_per_s`` without its unit, which stands with the value."""
+    return re.sub(r"_(dn2?|e)(_per_s)?$", "", field_name).replace("_", " ")
+
+
+def _quantity_words(quantity: Quantity) -> str:
+    if math.isfinite(quantity.total_sigma):
+        return with_sigma(quantity.value, quantity.total_sigma, quantity.unit, sign="±")
+    return f"{quantity.value:.3g} {quantity.unit} (no error bar)"
 
 
 def illumination_sheet(flats: Sequence[Capture], darks: Sequence[Capture], name: str) -> Sheet:

@@ -8,32 +8,46 @@ from typing import Any
 PARTS = (
     ("sampling", "noise of the captures", "more frames"),
     ("specimen", "pattern of the specimen, shared by shots", "other places on the sensor"),
-    ("simulation", "finite number of simulations", "more replicas or rays"),
+    ("simulation", "finite number of simulations", "more replicas"),
+    ("render", "finite number of rays", "more rays"),
     ("light", "light between frames", "a steadier lamp"),
 )
 LEAST_SHOWN = 5e-4  # relative change that is written; below it an effect does nothing here
-UNEXPLAINED = 0.5  # of the variance: from here on the model is what is left to mend
+BEYOND = 0.5  # of the variance: from here on what no error bar explains is what is left to mend
+REMEDIES = (("misfit", "the model"), ("repeat", "set-ups that repeat better"), ("region", "regions without border or dirt"))
 
 
 def budget(comparison: Mapping[str, Any] | None) -> list[dict[str, Any]]:
     """Per family of the last model: shares of the variance in percent, what is beyond them, and what would help most."""
     rows = (comparison or {}).get("budget") or []
     last = rows[-1]["model"] if rows else ""
-    out = []
-    for row in rows:
-        if row["model"] != last:
-            continue
-        best = max(PARTS, key=lambda part: row[part[0]])
-        out.append(
-            {
-                "family": row["family"].replace("_", " "),
-                "n": row["n"],
-                "shares": [{"key": key, "words": words, "percent": round(100 * row[key], 1)} for key, words, _ in PARTS],
-                "beyond": f"{row['unexplained']:.2f}",
-                "helps": "the model" if row["unexplained"] > UNEXPLAINED else best[2],
-            }
-        )
-    return out
+    return [
+        {
+            "family": row["family"].replace("_", " "),
+            "n": row["n"],
+            "shares": [
+                {"key": key, "words": words, "percent": round(100 * row.get(key, 0.0), 1)}
+                for key, words, _ in PARTS
+                if key in row
+            ],
+            "repeat": _beyond(row.get("repeat")),
+            "region": _beyond(row.get("region")),
+            "misfit": _beyond(row.get("misfit", row["unexplained"])),
+            "helps": _helps(row),
+        }
+        for row in rows
+        if row["model"] == last
+    ]
+
+
+def _helps(row: Mapping[str, Any]) -> str:
+    """The largest of what is beyond the error bars; where all of it is small, the largest share of the variance."""
+    remedy, left = max(((words, row.get(key) or 0.0) for key, words in REMEDIES), key=lambda pair: pair[1])
+    return remedy if left > BEYOND else max(PARTS, key=lambda part: row.get(part[0], 0.0))[2]
+
+
+def _beyond(value: float | None) -> str:
+    return "" if value is None else f"{max(value, 0.0):.2f}"
 
 
 def crops(pictures: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from isetval.app.report.pages import rendered
 from isetval.core.sensor import RoiLike
 from isetval.core.writing import write_whole
 from isetval.files.draft_types import Draft, DraftShot, Seen
@@ -17,16 +18,7 @@ MOST_REFUSED = 40  # regions drawn in one picture: a printed page of text has hu
 
 def campaign_html(draft: Draft) -> str:
     """The page as text, one file without script, server or network."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-
-    environment = Environment(
-        loader=PackageLoader("isetval.app.report"),
-        autoescape=select_autoescape(),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("campaign.html").render(page_parts(draft))
+    return rendered("campaign.html", **page_parts(draft))
 
 
 def write_campaign_page(draft: Draft, folder: Path | str) -> Path:

@@ -12,6 +12,7 @@ from isetval.app.words import state_of
 Row = Mapping[str, Any]
 PLANE_CLASS = {"R": "red", "Gr": "green", "Gb": "teal", "G": "green", "B": "blue"}
 FAR_Z = 4.0
+LETTER_PX = 6.0  # width of a letter of 11 px in the fonts of browsers, generously
 
 
 def ladder_bars(families: Sequence[str], columns: Sequence[Mapping[str, Row]], *, limit: int = 9) -> str:
@@ -91,10 +92,22 @@ def residual_plot(family: str, by_model: Sequence[Sequence[Row]]) -> str:
     return area.svg(body, f"Residuals of {family} in standard deviations over {label}")
 
 
-def thinned(names: Sequence[str], room: int = 7) -> list[str]:
-    """Names for an axis with room for a few of them."""
-    every = max(1, math.ceil(len(names) / room))
-    return [_short(name) if i % every == 0 else "" for i, name in enumerate(names)]
+def planes_shown(by_model: Sequence[Sequence[Row]]) -> list[tuple[str, str]]:
+    """(colour class, plane) of the colour planes that the rows have, for a key under the plots."""
+    own = {str(row["channel"]) for row in by_model[0]} if by_model else set()
+    kinds: dict[str, list[str]] = {}
+    for plane, kind in PLANE_CLASS.items():
+        if plane in own:
+            kinds.setdefault(kind, []).append(plane)
+    return [(kind, ", ".join(planes)) for kind, planes in kinds.items()]
+
+
+def thinned(names: Sequence[str], room_px: float = 280.0) -> list[str]:
+    """Names for an axis, as many of them as stand side by side."""
+    short = [_short(name) for name in names]
+    widest = max((len(name) for name in short), default=0) * LETTER_PX + 8
+    every = max(1, math.ceil(len(names) * widest / room_px))
+    return [name if i % every == 0 else "" for i, name in enumerate(short)]
 
 
 def _short(name: str) -> str:

@@ -56,6 +56,7 @@ def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "ladder": ladder_table(models, columns, families),
         "in_sample": in_sample(diagnosis),
         "failing_views": failing_views(by_model, columns),
+        "planes": charts.planes_shown(by_model),
         "views": views(by_model),
         "residuals": residuals(by_model, families),
         "budget": budget(comparison),

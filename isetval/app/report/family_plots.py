@@ -55,13 +55,24 @@ def family_plot(family: str, by_model: Sequence[Sequence[Row]]) -> FamilyPlot:
 def _curves(rows: Sequence[Row], place: Callable[[Row], Any], kind: str) -> dict[Key, list[Row]]:
     """Rows that belong to one line, in order of their place."""
     by_shot = kind == "names" or len({r.get("frequency_cy_px") for r in rows}) > 1
-    out: dict[Key, list[Row]] = {}
+    lines: dict[Key, list[Row]] = {}
     for row in rows:
         at = place(row)
         if at is not None and (kind != "log" or at > 0):
-            key = (row["channel"], row.get("region"), row["name"], row["shot"] if by_shot and row.get("shot") else "")
-            out.setdefault(key if kind != "names" else key[:3], []).append(row)
+            key = (row["channel"], row["name"], row["shot"] if by_shot and row.get("shot") else "")
+            lines.setdefault(key if kind != "names" else key[:2], []).append(row)
+    out = {own: part for key, members in lines.items() for own, part in _by_region(key, members, place).items()}
     return {key: sorted(own, key=lambda r: float(place(r))) for key, own in out.items()}
+
+
+def _by_region(key: Key, rows: Sequence[Row], place: Callable[[Row], Any]) -> dict[Key, list[Row]]:
+    """One line for each region, unless the regions are the places along it (rings of a fall-off)."""
+    if len({place(row) for row in rows}) == len(rows):
+        return {key: list(rows)}
+    out: dict[Key, list[Row]] = {}
+    for row in rows:
+        out.setdefault((*key, row.get("region")), []).append(row)
+    return out
 
 
 def _misfit(rows: Sequence[Row]) -> float:

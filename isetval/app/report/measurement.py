@@ -9,8 +9,11 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.plots.panels import figure_bytes, pdf_bytes
+from isetval.app.remarks import gathered, quality_first
 from isetval.app.report.pages import rendered
 from isetval.core.errors import InputError
+
+NAMED_FILES = 3
 
 if TYPE_CHECKING:
     from isetval.app.plots.sheets import Sheet
@@ -30,10 +33,10 @@ def measurement_html(
     sheets : sequence of Sheet
     """
     made = result.get("provenance", {})
-    name = result.get("campaign") or ", ".join(PurePath(path).name for path in list(result.get("files", {}))[:3])
+    quality, notes = quality_first(result.get("notes", ()))
     return rendered(
         "measurement.html",
-        title=f"Measurement of {name or 'files'}",
+        title=f"Measurement of {result.get('campaign') or _files_words(list(result.get('files', {})))}",
         headline=headline,
         sheets=[
             {
@@ -44,7 +47,8 @@ def measurement_html(
             }
             for sheet in sheets
         ],
-        notes=[*_warnings(result), *result.get("notes", ())],
+        quality=quality,
+        notes=[*_warnings(result), *gathered(notes)],
         skipped=result.get("skipped", ()),
         command=" ".join(made.get("command", ())),
         versions=made.get("versions", {}),
@@ -52,6 +56,14 @@ def measurement_html(
         more=max(0, len(made.get("inputs", {})) - 40),
         json=json.dumps(result, allow_nan=False).replace("<", "\\u003c"),
     )
+
+
+def _files_words(files: Sequence[str]) -> str:
+    """Their names; of many, how many in which folder."""
+    if len(files) <= NAMED_FILES:
+        return ", ".join(PurePath(path).name for path in files) or "files"
+    folders = dict.fromkeys(PurePath(path).parent.name for path in files)
+    return f"{len(files)} files of {', '.join(list(folders)[:NAMED_FILES])}{' ...' if len(folders) > NAMED_FILES else ''}"
 
 
 def _warnings(result: Mapping[str, Any]) -> list[str]:

@@ -50,9 +50,7 @@ def tick_words(value: float) -> str:
     """A number on an axis."""
     if value == 0:
         return "0"
-    if abs(value) >= 1e5 or abs(value) < 1e-3:
-        return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
-    return f"{value:.4g}"
+    return (f"{value:.0e}" if abs(value) >= 1e5 or abs(value) < 1e-3 else f"{value:.4g}").replace("e-0", "e-").replace("e+0", "e")
 
 
 def text(x: float, y: float, words: str, *, anchor: str = "middle", kind: str = "") -> str:

@@ -110,18 +110,13 @@ def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaR
     yield _row(plane, "overall system gain", "K", gain, "weighted fit, not a line through zero")
     yield _row(plane, "temporal dark noise", "sigma_d", read, "rounding removed exactly; read and reset noise together")
     yield _row(plane, "temporal dark noise", "sigma_y.dark", t.read_noise_dn)
-    top = saturation_level(t)
-    capacity = top.over(gain, "e-")
-    found = "saturated_levels_left_out" in t.flags
-    yield _row(plane, "saturation capacity", "mu_e.sat", capacity, "" if found else "lower bound: no saturated level was shot")
-    noise = math.hypot(read.value, math.sqrt(1 / 12) / gain.value)
-    threshold = math.sqrt(noise**2 + 0.25) + 0.5
-    threshold_e = Quantity(threshold, read.sigma * read.value / math.sqrt(noise**2 + 0.25), "e-")
+    reach = reach_of(t)
+    bound = "" if saturated(t) else "lower bound: no saturated level was shot"
+    yield _row(plane, "saturation capacity", "mu_e.sat", reach.full_well_e, bound)
+    threshold_e = reach.threshold_e
     yield _row(plane, "sensitivity threshold", "mu_e.min", threshold_e, "signal-to-noise ratio 1")
-    ratio = capacity.over(threshold_e, "1")
-    yield _row(plane, "dynamic range", "DR", Quantity(20 * math.log10(ratio.value), 8.686 * ratio.sigma / ratio.value, "dB"))
-    snr = 10 * math.log10(capacity.value)
-    yield _row(plane, "maximum signal-to-noise ratio", "SNR_max", Quantity(snr, 4.343 * capacity.sigma / capacity.value, "dB"))
+    yield _row(plane, "dynamic range", "DR", reach.dynamic_range_db)
+    yield _row(plane, "maximum signal-to-noise ratio", "SNR_max", reach.snr_max_db)
     low, high = linearity_error(t)
     yield _row(plane, "linearity error, lowest", "LE_min", low, "5 to 95 % of saturation, over exposure time")
     yield _row(plane, "linearity error, highest", "LE_max", high, "5 to 95 % of saturation, over exposure time")
@@ -130,6 +125,37 @@ def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaR
     photons = threshold_e.over(efficiency.scaled(0.01, "1"), "photons")
     yield _row(
         plane, "absolute sensitivity threshold", "mu_p.min", photons, "" if math.isfinite(efficiency.value) else NO_PHOTONS
+    )
+
+
+@dataclass(frozen=True)
+class Reach:
+    """From the faintest to the brightest signal of one plane, as EMVA 1288 defines them (release 4.0, section 2)."""
+
+    full_well_e: Quantity
+    threshold_e: Quantity
+    dynamic_range_db: Quantity
+    snr_max_db: Quantity
+
+
+def saturated(t: PlaneTransfer) -> bool:
+    """Whether the series reached saturation; otherwise `Reach` holds lower bounds."""
+    return "saturated_levels_left_out" in t.flags
+
+
+def reach_of(t: PlaneTransfer) -> Reach:
+    """Saturation capacity, sensitivity threshold (signal-to-noise ratio 1), dynamic range, largest signal-to-noise ratio."""
+    gain, read = t.gain_dn_per_e, t.read_noise_e
+    capacity = saturation_level(t).over(gain, "e-")
+    noise = math.hypot(read.value, math.sqrt(1 / 12) / gain.value)
+    root_e = math.sqrt(noise**2 + 0.25)
+    threshold = Quantity(root_e + 0.5, read.sigma * read.value / root_e, "e-")
+    ratio = capacity.over(threshold, "1")
+    return Reach(
+        capacity,
+        threshold,
+        Quantity(20 * math.log10(ratio.value), 8.686 * ratio.sigma / ratio.value, "dB"),
+        Quantity(10 * math.log10(capacity.value), 4.343 * capacity.sigma / capacity.value, "dB"),
     )
 
 

@@ -1,0 +1,98 @@
+"""The numbers that people ask for first: full well, dynamic range, dark current in electrons, colour error, verdicts."""
+
+import math
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.app.headline import headline_tables
+from isetval.app.remarks import gathered, quality_first
+from isetval.core.toml import data_folder
+
+GAIN, READ_E, BLACK, WHITE = 0.25, 4.0, 64, 1023
+FULL_WELL_E = (WHITE - BLACK) / GAIN
+
+
+def _series(folder, times_s):
+    """A steady light of 20 000 e-/s on a sensor of known gain and read noise, two frames of each exposure time."""
+    folder.mkdir()
+    rng = np.random.default_rng(8)
+    for i, time_s in enumerate(times_s):
+        for frame in range(2):
+            electrons = rng.poisson(20_000 * time_s, (64, 64)) + READ_E * rng.standard_normal((64, 64))
+            codes = np.clip(np.rint(BLACK + GAIN * electrons), 0, WHITE).astype(int)
+            isetval.write_dng(folder / f"flat{i}_{frame}.dng", isetval.Capture.from_array(codes, time_s=time_s, iso=100))
+    return folder
+
+
+@pytest.mark.parametrize(("longest_s", "saturates"), [(0.2, True), (0.12, False)])
+def test_full_well_dynamic_range_and_signal_to_noise(run, run_json, tmp_path, longest_s, saturates):
+    folder = _series(tmp_path / "series", (0.001, 0.01, 0.02, 0.04, 0.08, 0.12, longest_s))
+    code, result, err = run_json("measure", folder, "--role", "flat")
+    assert code == 0, err
+    rows = {r["name"]: r for r in result["metrics"] if r.get("channel") == "Gr" and r["name"].endswith(("full_well_e", "_db"))}
+    well = FULL_WELL_E if saturates else 20_000 * longest_s
+    # EMVA 1288 release 4.0: SNR_max = sqrt(full well), DR = full well over the signal of signal-to-noise ratio 1
+    noise = math.sqrt(READ_E**2 + 1 / 12 / GAIN**2 + 0.25) + 0.5
+    expected = {"full_well_e": well, "snr_max_db": 10 * math.log10(well), "dynamic_range_db": 20 * math.log10(well / noise)}
+    for name, value in expected.items():
+        assert abs(rows[name]["value"] - value) < 5 * rows[name]["sigma"], name
+    assert ("no_saturated_level" in rows["full_well_e"].get("reason", "")) != saturates
+    _, out, _ = run("measure", folder, "--role", "flat")
+    assert ("at least" in out.partition("family")[0]) != saturates
+
+
+def test_the_dark_current_is_told_in_electrons_where_the_gain_is_known():
+    def row(name, value, sigma, unit):
+        return {"name": name, "value": value, "sigma": sigma, "unit": unit, "family": "summary_x", "channel": "R"}
+
+    rows = [row("dark_current_dn_per_s", 3.0, 0.03, "DN/s"), row("gain_dn_per_e", 0.25, 0.005, "DN/e-")]
+    ((_, table),) = headline_tables(rows)
+    # 12 e-/s; relative sigma sqrt(.01^2 + .02^2) = 2.24 %
+    assert ("dark current", "12.00 +- 0.27 e-/s") in table
+    ((_, alone),) = headline_tables(rows[:1])
+    assert alone[1:] == [("dark current", "3.000 +- 0.030 DN/s")]
+
+
+def test_a_chart_tells_its_colour_error_with_and_without_a_matrix(run_json, run, nominal, tmp_path):
+    plan = isetval.load_campaign(data_folder() / "demo" / "plan.toml")
+    name = next(shot.name for shot in plan.shots if shot.role == "chart")
+    isetval.write_dng(tmp_path / "chart.dng", isetval.simulate(nominal, plan.only([name]), 5).captures.read(name)[0])
+    code, result, err = run_json("measure", tmp_path / "chart.dng")
+    assert code == 0, err
+    rows = {r["name"]: r for r in result["metrics"]}
+    if "de2000_fitted" not in rows:
+        pytest.skip("no chart was found in the simulated frame")
+    # a matrix has the gains among its numbers: on the same patches it can only be better, up to the patches' noise
+    assert rows["de2000_fitted"]["value"] < rows["de2000_gains_only"]["value"] + 3 * rows["de2000_fitted"]["sigma"]
+    _, out, _ = run("measure", tmp_path / "chart.dng")
+    assert "dE2000" in out.partition("patch means")[0]
+
+
+def test_remarks_of_many_shots_are_said_once_and_verdicts_come_first():
+    notes = [f"shot flat_{i:03d}: plane R: {1000 + i} of 3072 blocks are clipped" for i in range(12)]
+    notes += ["shot a: no chart", "shot b: no chart", "x.dng: capture quality: usable"]
+    verdicts, others = quality_first(notes)
+    assert verdicts == ["x.dng: capture quality: usable"]
+    assert gathered(others) == [
+        "12 shots, flat_000 to flat_011; the first: plane R: 1000 of 3072 blocks are clipped",
+        "shot a: no chart",
+        "shot b: no chart",
+    ]
+
+
+def test_a_folder_of_pictures_without_levels_is_told_what_to_write(run, tmp_path):
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    import tifffile
+
+    tifffile.imwrite(folder / "a.tif", np.zeros((32, 32), np.uint8))
+    for words in (("measure", folder), ("campaign", "init", folder)):
+        code, _, err = run(*words)
+        assert code == 3
+        assert all(word in err for word in ("a.tif", "cfa", "black_dn", "bits", "images.toml"))
+    (tmp_path / "dark.raw").write_bytes(bytes(64))
+    code, _, err = run("measure", tmp_path / "dark.raw")
+    assert code == 3
+    assert "--raw-shape" in err
