@@ -67,7 +67,8 @@ def _page(cls, drawn):
     if drawn:
         lines += ["## Signature in the demo plan", "", f"![signature of {cls.name}]({cls.name}.svg)", ""]
         lines += [
-            "Change of the noise-free mean and of the spread of one frame (bars: two standard errors) in seven shots, when the effect stands one plausible scale above the Pixel 4a.",
+            "Change of the noise-free mean, and of the spread of one frame in percent (bars: two standard errors), in seven shots, "
+            "when the effect stands one plausible scale above the Pixel 4a.",
             "",
         ]
     lines += ["## Checked by", "", *(f"- `{path}`" for path in _tests(cls.name)), ""]
@@ -130,10 +131,12 @@ def _draw(path, before, after):
 
     figure = Figure(figsize=(8, 2.6), layout="constrained")
     for axis, column, words in zip(
-        figure.subplots(1, 2), (0, 1), ("mean above black, R (DN)", "standard deviation, R (DN)"), strict=True
+        figure.subplots(1, 2), (0, 1), ("mean above black, R (DN)", "standard deviation, R (%)"), strict=True
     ):
         change = after[:, column] - before[:, column]
-        error = None if column == 0 else 2 * np.hypot(before[:, 2], after[:, 2])  # of two frames whose noise is drawn anew
+        percent = 100 / before[:, 1]  # of flats a few DN, of an edge hundreds: side by side as shares
+        change = change if column == 0 else change * percent
+        error = None if column == 0 else 2 * np.hypot(before[:, 2], after[:, 2]) * percent  # noise of two frames, drawn anew
         axis.bar(range(len(SHOTS)), change, yerr=error, color=["tab:gray"] * 2 + ["tab:blue"] * 4 + ["tab:orange"], ecolor="0.4")
         axis.set_xticks(range(len(SHOTS)), [s[2:].replace("_center_v_z0", "") for s in SHOTS], rotation=40, fontsize=7)
         axis.axhline(0, color="0.4", lw=0.6)
