@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from isetval.loop.subset_sum import LinearModel, at_scales
 
 Float = NDArray[np.float64]
-AMPLITUDES = 2.0 ** np.arange(-1, 7)  # sigmas that u shows with, each as likely: from what nobody sees to what nobody overlooks
+AMPLITUDES: Float = 2.0 ** np.arange(
+    -1, 7
+)  # sigmas that u shows with, each as likely: from what nobody sees to what nobody overlooks
 SEEN = 1e-3  # share of a pattern's squared length that all that is free leaves, below which it cannot be told from that
 SCATTERS = "scatters more than stated"
 BOTH, HERE, THERE = "both sessions", "the captures used", "the hold-out"
