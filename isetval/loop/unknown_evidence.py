@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from isetval.loop.subset_sum import LinearModel, at_scales
 
 Float = NDArray[np.float64]
-AMPLITUDES: Float = 2.0 ** np.arange(
-    -1, 7
-)  # sigmas that u shows with, each as likely: from what nobody sees to what nobody overlooks
+AMPLITUDES: Float = np.array([0.5, 1, 2, 4, 8, 16, 32, 64])
+"""Sigmas that u shows with, each as likely: from what nobody sees to what nobody overlooks."""
 SEEN = 1e-3  # share of a pattern's squared length that all that is free leaves, below which it cannot be told from that
 SCATTERS = "scatters more than stated"
 BOTH, HERE, THERE = "both sessions", "the captures used", "the hold-out"

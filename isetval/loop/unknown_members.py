@@ -24,9 +24,8 @@ from isetval.loop.unknown_evidence import Left, Patterns, Unknown, left_by
 
 Float = NDArray[np.float64]
 ODDS_OF_UNKNOWN = 1 / 7  # against all effects of the catalogue: of 62 that it held, other models were found to hold 9 more
-DIFFERS: Float = 2.0 ** np.arange(
-    -5, 0
-)  # of its length, by which what looks like an effect differs from it: 3 to 50 %, each as likely
+DIFFERS: Float = np.array([1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2])
+"""Of its length, by which what looks like an effect differs from it: 3 to 50 %, each as likely."""
 
 
 @dataclass(frozen=True, eq=False)
