@@ -128,10 +128,11 @@ class Effect:
     distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays; ``per_light``
-    that its field ``light`` names the one light it concerns (empty: all).  ``forms`` are the shapes that it may have, by
-    field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with a ``tau`` once the effect
-    is named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its null it must be
-    the identity, unless it gives another unit than it acts on.
+    that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter that is the
+    exposure time beyond which it acts: each gap between the exposures of a plan is a form.  ``forms`` are the shapes that
+    it may have, by field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with a ``tau``
+    once the effect is named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its
+    null it must be the identity, unless it gives another unit than it acts on.
     """
 
     name: ClassVar[str] = ""
@@ -157,6 +158,7 @@ class Effect:
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False
     per_light: ClassVar[bool] = False
+    switches_at: ClassVar[str] = ""
 
     source: str = ""
     fitted_to: tuple[str, ...] = ()
@@ -185,6 +187,11 @@ class Effect:
     def values(self) -> Mapping[str, float]:
         """Parameter values by name."""
         return {info.name: float(getattr(self, info.name)) for info in self.parameters()}
+
+    @classmethod
+    def chosen(cls) -> tuple[str, ...]:
+        """Names of the fields that a diagnosis chooses and does not fit."""
+        return (*cls.forms, *["light"] * cls.per_light, *[cls.switches_at] * bool(cls.switches_at))
 
     def content(self) -> tuple[Any, ...]:
         """Everything that decides what the effect does: the key of caches."""

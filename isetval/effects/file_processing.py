@@ -122,6 +122,7 @@ class DigitalGain(Effect):
     )
     equation = "black + (DN - black)(1 + d) where t > t1"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.7 (linearity against exposure time comes first)"
+    switches_at = "above_s"
 
     gain: float = parameter(0.0, unit="1", low=-0.9, high=63.0, tau=0.1, doc="relative gain d")
     above_s: float = parameter(0.03, unit="s", low=0.0, high=1e4, shape=True, doc="exposure time t1 above which it acts")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -119,10 +119,11 @@ def doubts_for(unknowns: Sequence[Parameter]) -> tuple[Doubt, ...]:
     return tuple(Doubt(f) for f in unknowns if f.prior is not None and not f.owner)
 
 
-def candidates_for(model: CameraModel, lights: Sequence[str] = ()) -> tuple[Candidate, ...]:
+def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Sequence[float] = ()) -> tuple[Candidate, ...]:
     """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains.
 
-    Each form of an effect is a candidate.  Where several ``lights`` are used, so is an effect for each light that it may concern.
+    Each form of an effect is a candidate.  Where several ``lights`` are used, so is an effect for each light that it may concern,
+    and what switches at an exposure time is one for each of the ``gaps_s`` between those of the plan.
     """
     contained = {name for effect in model.effects for name in effect.replaces}
     chief_ray = any(effect.states_chief_ray() for effect in model.effects)
@@ -143,7 +144,8 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = ()) -> tuple[Cand
         nulls: dict[str, Any] = {p.name: p.null for p in parameters}
         absent = Candidate(name, replace(effect, **nulls), parameters, False)
         one_light = {"light": ("", *lights)} if cls.per_light and len(lights) > 1 else {}
-        out += _forms(absent, {**cls.forms, **one_light})
+        switched = {cls.switches_at: tuple(gaps_s)} if cls.switches_at and gaps_s else {}
+        out += _forms(absent, {**cls.forms, **one_light, **switched})
     return tuple(out)
 
 
@@ -162,6 +164,12 @@ def _forms(candidate: Candidate, choices: Mapping[str, Sequence[str | float]]) -
 def lights_of(plan: Campaign) -> tuple[str, ...]:
     """Names of the lights that a plan uses, each once."""
     return tuple(dict.fromkeys(shot.light for shot in plan.shots if shot.light))
+
+
+def gaps_of(plan: Campaign) -> tuple[float, ...]:
+    """Times in s that lie between the exposures of a plan's lit shots."""
+    times = sorted({shot.exposure.time_s for shot in plan.shots if shot.light and shot.exposure.time_s})
+    return tuple(float(np.sqrt(a * b)) for a, b in pairwise(times))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
-from isetval.loop.candidates import Candidate, aligned, candidates_for, doubts_for, lights_of, signatures
+from isetval.loop.candidates import Candidate, aligned, candidates_for, doubts_for, gaps_of, lights_of, signatures
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
 from isetval.loop.forms import in_best_form
@@ -37,7 +37,7 @@ from isetval.loop.verdict import ALPHA, account_of, stopped_account
 Float = NDArray[np.float64]
 ODDS = 19.0  # 95 %: what a name needs against the same without it
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
-CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked only where they are closer
+CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked where any two that may stand are closer
 BENDS = 0.5  # share of what a single effect explains that its signature may be wrong by: what the nuisances leave of it is small,
 # and another form of it explains more (a vignetting of 6 %: 42 of 89 in ln Z)
 BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
@@ -139,7 +139,7 @@ def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared
 def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Investigation:
     say("fitting the nuisances of the nominal model")
     problem, fitted = prepared.settled(model)
-    wanted = candidates_for(model, lights_of(problem.plan))
+    wanted = candidates_for(model, lights_of(problem.plan), gaps_of(problem.plan))
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     made = signatures(problem, Point(model, far_values(fitted)), wanted, project=frame.basis[: frame.rows])
@@ -195,14 +195,16 @@ def _move_base(case: Investigation, say: Say) -> None:
 
 def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> Hypothesis | None:
     """The hypothesis that should stand instead, or None; where they are close the hold-out is asked."""
-    tried = _refitted(case, say, first=first)
+    _refit(case, say, first=first)
     rivals = [h for h in case.known.values() if h.names not in seen and len(h.effects) <= MAX_EFFECTS]
     lead = max(rivals, key=case.score, default=None)
     if lead is None:
         return None
-    if abs(case.score(lead) - case.score(case.standing)) < CLEAR:
+    near = [h for h in (*rivals, case.standing) if case.score(lead) - case.score(h) < CLEAR]
+    if len(near) > 1:
         say("asking the hold-out")
-        ask_holdout(case, [h for h in case.known.values() if h is lead or h in tried or h.names < case.standing.names])
+        parts = [h for h in case.known.values() if h.names < case.standing.names and case.standing in near]
+        ask_holdout(case, [h for h in (*near, *parts) if h is not case.standing])
     return _winner(case, seen)
 
 
@@ -237,20 +239,14 @@ def _needed(case: Investigation, other: Hypothesis) -> float:
     return 0.0 if case.held is None and found else float(np.log(ODDS)) - case.table.log_rest(other.names)
 
 
-def _refitted(case: Investigation, say: Say, *, first: bool) -> list[Hypothesis]:
-    """Hypotheses that carry the sum, fitted in full: first single effects, which the rest is then weighed about."""
-    tried: list[Hypothesis] = []
-    for names in _proposals(case, first=first):
-        if len(tried) == SHORT_LIST:
-            break
+def _refit(case: Investigation, say: Say, *, first: bool) -> None:
+    """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about."""
+    for names in _proposals(case, first=first)[:SHORT_LIST]:
         best = max(case.score(h) for h in case.known.values())
         if not first and case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing)):
             break
         say(f"fitting {', '.join(sorted(names))}")
-        found = in_best_form(case, fitted_jointly(case, names), say)
-        case.known[names] = found
-        tried.append(found)
-    return tried
+        case.known[names] = in_best_form(case, fitted_jointly(case, names), say)
 
 
 def _proposals(case: Investigation, *, first: bool) -> list[Names]:

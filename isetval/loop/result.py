@@ -190,7 +190,7 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         "equivalent": list(effect.equivalent),
         "present_in_model": effect.present,
         "dchi2": effect.dchi2,
-        "choices": {name: getattr(effect.effect, name) for name in (*effect.effect.forms, *["light"] * effect.effect.per_light)},
+        "choices": {name: getattr(effect.effect, name) for name in effect.effect.chosen()},
         "form": "own" if effect.curve is None else "free",
         "curve": None if effect.curve is None else effect.curve.to_json(),
         "forms": [vars(row) | {"free": list(row.free)} for row in effect.forms],

@@ -12,7 +12,7 @@ from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
-from isetval.loop.candidates import candidates_for, lights_of
+from isetval.loop.candidates import candidates_for, gaps_of, lights_of
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +72,13 @@ def test_covered_pixels_may_lie_under_any_filter(model):
         seen.add((row[0] % 2, col[0] % 2))
         assert len(set(zip(row % 2, col % 2, strict=True))) == 1
     assert len(seen) == 4
+
+
+def test_a_gain_that_is_switched_on_may_be_so_between_any_two_exposures(model):
+    """From one place only (30 ms) a gain beyond 60 ms was answered with blooming."""
+    shots = [Shot(f"f{t}", "flat", light="tube", exposure=Exposure(t)) for t in (0.01, 0.04, 0.09)]
+    plan = Campaign("p", (*shots, Shot("d", "dark", exposure=Exposure(2.0))), lights={"tube": Light("tube", Spectrum.flat(0.01))})
+    assert gaps_of(plan) == pytest.approx((0.02, 0.06))
+    forms = [c for c in candidates_for(model, (), gaps_of(plan)) if c.klass == "digital_gain"]
+    assert [c.effect.above_s for c in forms] == pytest.approx([0.02, 0.06])
+    assert {c.prior_weight for c in forms} == {0.5}

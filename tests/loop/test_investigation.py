@@ -9,7 +9,7 @@ import isetval
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.loop.candidates import Signature, candidates_for
-from isetval.loop.detective import ODDS, _better, _proposals
+from isetval.loop.detective import CLEAR, ODDS, _better, _proposals
 from isetval.loop.evidence import hypothesis, least_chi2
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
@@ -127,6 +127,23 @@ def test_what_the_hold_out_says_adds_to_the_evidence(monkeypatch, said, named):
     monkeypatch.setattr(detective, "ask_holdout", lambda case, found: case.told.update({h.names: said for h in found}))
     better = _better(case, quiet, {NOTHING}, first=True)
     assert (better is not None) == named
+
+
+def test_the_hold_out_is_asked_between_two_names_that_are_both_far_above_nothing(monkeypatch):
+    """Far from nothing but close to each other: a vignetting was answered with a light whose tilts the second session denied."""
+    import isetval.loop.detective as detective
+
+    case = case_of(30.0 * (np.eye(ROWS)[0] + MIXED))
+    case.held = object()
+    two = [frozenset({"dark_current"}), frozenset({"black_level"})]
+    told = dict(zip(two, (50.0, 40.0), strict=True))
+    for said in (told, dict(zip(two, reversed(told.values()), strict=True))):
+        case.told.clear()
+        monkeypatch.setattr(
+            detective, "ask_holdout", lambda case, found, said=said: case.told.update({h.names: said[h.names] for h in found})
+        )
+        assert _better(case, quiet, {NOTHING}, first=True).names == max(said, key=said.get)
+        assert abs(case.known[two[0]].log_evidence - case.known[two[1]].log_evidence) < CLEAR
 
 
 def test_a_part_of_what_stands_is_as_likely_as_if_it_were_fitted(case):
