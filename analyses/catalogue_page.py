@@ -35,7 +35,9 @@ def section(cls: type[Effect]) -> str:
     if cls.must_not_change:
         lines.append(f"* leaves alone (tested): {', '.join(cls.must_not_change)}")
     if cls.forms:
-        lines += [f"* `{field}`: {', '.join(names)}" for field, names in cls.forms.items()]
+        lines += [
+            f"* `{field}`: {', '.join(f'{v:g}' if isinstance(v, float) else v for v in own)}" for field, own in cls.forms.items()
+        ]
     if cls.free is not None:
         lines.append(f"* other forms: any smooth one along the {cls.free.axis}")
     if not cls.candidate:
