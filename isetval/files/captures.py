@@ -12,8 +12,10 @@ from typing import overload
 from isetval.core.campaign import Campaign
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
+from isetval.core.memory import give_back_freed
 
-HELD_PIXELS = 160_000_000  # 320 MB: a worker with its maps and libraries stays below 600; longer ones are decoded frame by frame
+HELD_PIXELS = 90_000_000  # 180 MB: a worker with its maps and libraries stays below 600; longer ones are decoded frame by frame
+AGAIN_PIXELS = 30_000_000  # 60 MB of frames beyond that were decoded last: a pair of 12 MP is looked at several times in a row
 Reader = Callable[[str, str], Capture]
 """(shot name, file name) -> the capture."""
 
@@ -25,6 +27,7 @@ class _Record:
     skipped: dict[str, str] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
     ahead: dict[str, Capture] = field(default_factory=dict)
+    last: _LastDecoded = field(default_factory=lambda: _LastDecoded())
 
 
 class FileCaptures:
@@ -89,12 +92,16 @@ class FileCaptures:
             held += capture.mosaic.size
             if held <= HELD_PIXELS:
                 frames.append(capture)
-        return tuple(frames) if len(frames) == len(good) else Frames(good, lambda file: self._again(name, file))
+        return tuple(frames) if len(frames) == len(good) else Frames(good, self._from_last(name))
 
     def later(self, name: str) -> Sequence[Capture]:
         """Frames of a shot that was read before, each decoded again when it is looked at."""
         good = [file for file in self._files.get(name, ()) if file not in self._record.skipped]
-        return Frames(good, lambda file: self._again(name, file))
+        return Frames(good, self._from_last(name))
+
+    def _from_last(self, name: str) -> Callable[[str], Capture]:
+        last = self._record.last
+        return lambda file: last.get((name, file), lambda: self._again(name, file))
 
     def grouped(self, files: Mapping[str, Sequence[str]]) -> FileCaptures:
         """The same files as the frames of other shots."""
@@ -146,13 +153,35 @@ def defect_words(error: Exception) -> str:
     return f"a defect of isetval ({type(error).__name__}: {error}); please report it with the file"
 
 
-class Frames(Sequence[Capture]):
-    """Frames that are decoded when they are looked at; the last ones stay in memory within `HELD_PIXELS`."""
+class _LastDecoded:
+    """The frames decoded last, of all series of a campaign, within `AGAIN_PIXELS`."""
 
-    def __init__(self, files: Sequence[str], decode: Callable[[str], Capture]) -> None:
-        self._files, self._decode = tuple(files), decode
-        self._kept: OrderedDict[int, Capture] = OrderedDict()
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[str, str], Capture] = OrderedDict()
         self._lock = threading.Lock()
+
+    def get(self, key: tuple[str, str], decode: Callable[[], Capture]) -> Capture:
+        """The frame of a key, decoded unless it is one of the last."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        capture = decode()
+        with self._lock:
+            self._kept[key] = capture
+            before = len(self._kept)
+            while sum(c.mosaic.size for c in self._kept.values()) > AGAIN_PIXELS and len(self._kept) > 1:
+                self._kept.popitem(last=False)
+            if len(self._kept) < before:
+                give_back_freed()
+        return capture
+
+
+class Frames(Sequence[Capture]):
+    """Frames that are decoded when they are looked at."""
+
+    def __init__(self, files: Sequence[str], frame: Callable[[str], Capture]) -> None:
+        self._files, self._frame = tuple(files), frame
 
     @overload
     def __getitem__(self, index: int) -> Capture: ...
@@ -160,18 +189,8 @@ class Frames(Sequence[Capture]):
     def __getitem__(self, index: slice) -> Sequence[Capture]: ...
     def __getitem__(self, index: int | slice) -> Capture | Sequence[Capture]:
         if isinstance(index, slice):
-            return Frames(self._files[index], self._decode)
-        i = range(len(self))[index]
-        with self._lock:
-            if i in self._kept:
-                self._kept.move_to_end(i)
-                return self._kept[i]
-        capture = self._decode(self._files[i])
-        with self._lock:
-            self._kept[i] = capture
-            while sum(c.mosaic.size for c in self._kept.values()) > HELD_PIXELS and len(self._kept) > 1:
-                self._kept.popitem(last=False)
-        return capture
+            return Frames(self._files[index], self._frame)
+        return self._frame(self._files[index])
 
     def __len__(self) -> int:
         return len(self._files)

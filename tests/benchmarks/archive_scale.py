@@ -57,10 +57,25 @@ def measuring(folder):
             out[kind]["no role, by itself"] = cpu_wall_ms(lambda alone=alone: content_of(alone, Settings()), 2)
             memory = {
                 "a flat by itself": memory_mb(paths[0], None),
-                "a series of 4 flats": memory_mb(paths, "flat"),
-                "a series of 12 flats": memory_mb([copied(part, path, n) for n in range(3) for path in paths], "flat"),
+                "4 flats of one level": memory_mb(paths, "flat"),
+                "12 flats of one level": memory_mb([copied(part, path, n) for n in range(3) for path in paths], "flat"),
+                "16 levels of 2 flats": memory_mb(write_levels(part / "levels", 16), "flat"),
             }
     return {"measuring_ms_cpu_wall_per_file": out, "capture_mb": megabytes, "memory_mb": memory}
+
+
+def write_levels(folder, count):
+    """Pairs of flats at rising levels, 200 to 1,600 e-, with the noise of two frames."""
+    folder.mkdir()
+    rng = np.random.default_rng(2)
+    noise = [rng.standard_normal(SHAPE, dtype=np.float32) for _ in range(2)]
+    paths = []
+    for level, mean_e in enumerate(np.linspace(200.0, 1600.0, count)):
+        for frame, z in enumerate(noise):
+            codes = np.rint(64 + 0.5 * (mean_e + np.sqrt(mean_e) * z)).astype(np.uint16)
+            paths.append(folder / f"flat_{level:02d}_{frame}.dng")
+            isetval.write_dng(paths[-1], isetval.Capture.from_array(codes, time_s=mean_e * 1e-5, iso=100, bits=10))
+    return paths
 
 
 def copied(folder, path, number):
