@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -310,4 +311,6 @@ def _peak_memory_mb() -> float | None:
         import resource
     except ImportError:
         return None
-    return sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes a unit of ru_maxrss, getrusage(2) of each system
+    peak = sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return peak * unit / 2**20

@@ -178,7 +178,7 @@ def save_json(path: Path, content: Any) -> bool:
 def load_json(path: Path) -> Any:
     """The content of a JSON file; None if it is absent or damaged."""
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
 

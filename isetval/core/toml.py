@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from isetval.core.errors import InputError
 from isetval.core.json_file import check_nest
+from isetval.core.paths import seen_from
 
 PACKAGE_PREFIX = "isetval:"
 LONGEST_NAME = 250  # bytes: file systems hold 255 of a name, and a data file names what lies beside it
@@ -46,7 +46,7 @@ def named_path(path: Path, base: Path) -> str:
     data = data_folder()
     if path.resolve().is_relative_to(data.resolve()) and not base.resolve().is_relative_to(data.resolve()):
         return PACKAGE_PREFIX + path.resolve().relative_to(data.resolve()).as_posix()
-    return Path(os.path.relpath(path.resolve(), base.resolve())).as_posix()
+    return Path(seen_from(str(path.resolve()), str(base.resolve()))).as_posix()
 
 
 def inside(folder: Path | str, name: str) -> Path:

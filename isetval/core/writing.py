@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import time
 from pathlib import Path
 from typing import BinaryIO
 
 from isetval.core.errors import InputError
+
+PAUSES_S = (0.01, 0.03, 0.1, 0.3, 1.0)
 
 
 def write_whole(path: Path | str, content: str | bytes) -> None:
@@ -39,11 +42,23 @@ def replace_whole(path: Path, data: bytes) -> None:
     temporary = path.parent / f".{path.name[:100]}.{secrets.token_hex(6)}"
     try:
         _write_synced(temporary, data)
-        os.replace(temporary, path)
+        _replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     _sync_folder(path.parent)
+
+
+def _replace(temporary: Path, path: Path) -> None:
+    """`os.replace`; Windows refuses it while another process reads the file, which is over in a moment."""
+    for pause_s in PAUSES_S if os.name == "nt" else ():
+        try:
+            os.replace(temporary, path)
+        except PermissionError:
+            time.sleep(pause_s)
+        else:
+            return
+    os.replace(temporary, path)
 
 
 def _write_synced(path: Path, data: bytes) -> None:

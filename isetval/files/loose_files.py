@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from isetval.core.capture import Capture, check_roi
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.metric import Metric, MetricTable
+from isetval.core.paths import common_folder, seen_from
 from isetval.core.sensor import RoiLike, Window
 from isetval.files.captures import FileCaptures
 from isetval.files.file_facts import FileFacts, by_level, facts_of
@@ -290,11 +290,11 @@ def series_shots(facts: Sequence[FileFacts], asked: Asked) -> tuple[Shot, ...]:
     for fact in facts:
         series = sessions.setdefault((fact.folder, fact.scale), {})
         series.setdefault((fact.window, fact.exposure.time_s), []).append(fact)
-    common = os.path.commonpath([fact.folder for fact in facts])
+    common = common_folder([fact.folder for fact in facts])
     shots: list[Shot] = []
     for number, ((folder, (sensor, iso)), series) in enumerate(sessions.items(), 1):
         several = len(sessions) > 1
-        label = f"{os.path.relpath(folder, common)}, ISO {iso}, {sensor.rows} x {sensor.cols}" if several else "A"
+        label = f"{seen_from(folder, common)}, ISO {iso}, {sensor.rows} x {sensor.cols}" if several else "A"
         for (window, _), same in series.items():
             for group in by_level(same):
                 name = f"{role}_{len(shots) + 1:02d}"

@@ -12,6 +12,7 @@ from isetval.app.batch.store import Seen
 from isetval.app.provenance import METRIC_VERSIONS
 from isetval.core.cache import bytes_hash, content_hash, file_hash
 from isetval.core.errors import InputError
+from isetval.core.paths import common_folder, seen_from
 from isetval.files.capture_file import DNG_SUFFIX
 from isetval.files.loose_files import SERIES_ROLES, Asked
 from isetval.files.sidecar import find_sidecar
@@ -67,9 +68,9 @@ def units_of(files: Sequence[Path], role: str | None) -> list[Unit]:
     folders: dict[str, list[str]] = {}
     for file in files:
         folders.setdefault(str(file.parent), []).append(str(file))
-    common = os.path.commonpath(list(folders)) if folders else ""
+    common = common_folder(list(folders))
     several = len(folders) > 1
-    return [Unit(tuple(own), os.path.relpath(folder, common) if several else "") for folder, own in folders.items()]
+    return [Unit(tuple(own), seen_from(folder, common) if several else "") for folder, own in folders.items()]
 
 
 def part_of(units: Sequence[Unit], part: tuple[int, int] | None) -> list[Unit]:
