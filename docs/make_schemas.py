@@ -9,8 +9,9 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 
 from isetval.core.campaign import SCOPES, SHOT_NUISANCES  # noqa: E402
+from isetval.core.sensor import CFA_PATTERNS  # noqa: E402
 from isetval.effects import catalogue  # noqa: E402
-from isetval.files import campaign_file, campaign_shots, target_file  # noqa: E402
+from isetval.files import campaign_file, campaign_shots, sidecar, target_file  # noqa: E402
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 NUMBER, TEXT, ARRAY, TEXTS = (
@@ -96,9 +97,25 @@ def campaign():
     return {"$schema": DRAFT, "title": "isetval campaign"} | table(campaign_file._KEYS, ("shot",), **parts)
 
 
+def picture():
+    """images.toml, the sidecar of pictures."""
+    cells = {"anyOf": [NUMBER, {"type": "array", "items": NUMBER, "minItems": 4, "maxItems": 4}]}
+    pair = {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2}
+    kinds = {key: NUMBER for key in sidecar.NUMBERS} | {key: TEXT for key in sidecar.TEXTS}
+    kinds |= {"black_dn": cells, "window": pair, "sensor": pair, "levels_only": {"type": "boolean"}}
+    kinds |= {
+        "cfa": {"enum": list(CFA_PATTERNS)},
+        "channel": {"enum": ["R", "G", "B"]},
+        "encoding": {"enum": list(sidecar.ENCODINGS)},
+    }
+    some = table((*sidecar.KEYS, "match"), ("match",), match=TEXT, **kinds)
+    whole = table((*sidecar.KEYS, "image"), image={"type": "array", "items": some}, **kinds)
+    return {"$schema": DRAFT, "title": "isetval sidecar of pictures"} | whole
+
+
 def schemas():
     """File name -> schema."""
-    return {"camera.schema.json": camera(), "campaign.schema.json": campaign()}
+    return {"camera.schema.json": camera(), "campaign.schema.json": campaign(), "images.schema.json": picture()}
 
 
 def write_schemas():

@@ -29,8 +29,8 @@ def plugins_allowed(allow: bool = True) -> Iterator[None]:
         _allowed.reset(token)
 
 
-def load_plugin(name: str, model_file: Path) -> None:
-    """Import the plugin that a model file names, and put its effects into the catalogue.
+def load_plugin(name: str, model_file: Path) -> tuple[str, ...]:
+    """Import the plugin that a model file names, and put its effects into the catalogue; returns their names.
 
     The module is imported under its own name, and its folder is put at the end of the search path, so that worker
     processes find it as well.
@@ -51,6 +51,7 @@ def load_plugin(name: str, model_file: Path) -> None:
     effects = _effects_of(path)
     add_code(path)
     plug_in(effects, str(path))
+    return tuple(cls.name for cls in effects)
 
 
 def _effects_of(path: Path) -> list[type[Effect]]:

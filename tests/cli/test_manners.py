@@ -13,6 +13,7 @@ import pytest
 
 import isetval
 from isetval.app.cli.console import harmless, understands_escapes
+from isetval.app.demo import chosen_hidden
 from isetval.camera.plugins import plugins_allowed
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
@@ -199,3 +200,18 @@ def test_the_known_answer_edge_is_what_the_ruler_finds(run_json, tmp_path):
     found = isetval.measure.sfr(isetval.read_dng(tmp_path / "e.dng"), channel="MONO")
     assert found.mtf50_cy_px == pytest.approx(truth["mtf50_cy_px"], rel=2e-3)  # no noise: whole codes, 1 of some thousand
     assert run_json("edge", "-o", tmp_path / "f.dng", "--size", 2)[0] == 3
+
+
+def test_an_effect_of_ones_own_is_hidden_in_the_demo_only_where_its_program_is_allowed(run, plugged):
+    from isetval.app.cli.laboratory_commands import _hidden_of
+
+    assert run("effects", "new", "corner_loss", "--stage", "optics")[0] == 0
+    code, _, err = run("demo", "--hide", "corner_loss.py", "-o", "d")
+    assert code == 3
+    assert "--allow-plugin" in err
+    assert not (plugged / "d").exists()
+    with plugins_allowed():
+        assert _hidden_of("corner_loss.py:a=0.3") == "corner_loss:a=0.3"
+    assert "corner_loss" in catalogue()
+    assert chosen_hidden(isetval.load_model(CAMERA), "corner_loss:a=0.3").a == 0.3
+    assert _hidden_of("vignetting") == "vignetting"

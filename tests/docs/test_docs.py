@@ -1,5 +1,6 @@
 """The documentation site and the schemas of the file formats."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from isetval.effects import catalogue
+from isetval.files.sidecar import read_sidecar
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
@@ -35,6 +37,22 @@ def test_files_of_the_project_fit_and_mistakes_do_not(path):
     jsonschema.validate(content, schema)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(content | {"sensro": 1}, schema)
+
+
+def test_the_sidecar_of_the_documentation_fits_its_schema_and_is_read(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    (block,) = [b for b in re.findall(r"```toml\n(.*?)```", text, re.S) if "name_rule" in b]
+    content = tomllib.loads(block)
+    schema = schemas()["images.schema.json"]
+    jsonschema.validate(content, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(content | {"bitz": 8}, schema)
+    (tmp_path / "images.toml").write_text(block, encoding="utf-8")
+    said = read_sidecar(tmp_path / "d1_disks32cmV2_550nm_250ms_2019.tif")
+    assert (said.cfa, said.bits, said.wavelength_nm, said.exposure.time_s) == ("GBRG", 8, 550.0, 0.25)
+    assert (said.window, said.sensor) == ((1364, 1632), (2048, 2448))
+    assert read_sidecar(tmp_path / "d2_colorChecker30cm_400nm_100ms_2019.tif").levels_only
 
 
 @pytest.mark.slow

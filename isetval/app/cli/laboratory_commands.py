@@ -25,7 +25,8 @@ def register_demo(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--hide",
         metavar="NAME[:p=v,...]",
-        help="the effect to hide, such as your own (default: drawn by the seed; without values at twice its plausible scale)",
+        help="the effect to hide; your own as my_effect.py with --allow-plugin "
+        "(default: drawn by the seed; without values at twice its plausible scale)",
     )
     p.add_argument("-j", "--jobs", type=positive, default=default_jobs(), help="worker processes (default: %(default)s)")
     p.add_argument("--open", action="store_true", help="open the report")
@@ -93,8 +94,24 @@ def demo(args: argparse.Namespace, console: Console) -> Outcome:
     folder = Path(args.output or "isetval-demo")
 
     told = Teller(console.say, console.progress)
-    found = run_demo(seed, folder=folder, hide=args.hide, jobs=args.jobs, step=console.step, say=told)
+    found = run_demo(seed, folder=folder, hide=_hidden_of(args.hide), jobs=args.jobs, step=console.step, say=told)
     return Outcome(found, demo_lines(found), FINE)
+
+
+def _hidden_of(hide: str | None) -> str | None:
+    """What ``--hide`` names; of a file of effects (`isetval effects new`), the effect that is called like it, or its only one."""
+    from isetval.camera.plugins import load_plugin
+    from isetval.core.errors import InputError
+
+    file, colon, settings = (hide or "").partition(":")
+    if not file.endswith(".py"):
+        return hide
+    path = Path(file).resolve()
+    names = load_plugin(path.name, path.parent / "--hide")
+    name = path.stem if path.stem in names else names[0]
+    if name != path.stem and len(names) > 1:
+        raise InputError(f"--hide {file}: holds {', '.join(names)}; call the file like the one that is to be hidden")
+    return name + colon + settings
 
 
 def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
