@@ -101,7 +101,7 @@ def picture():
     """images.toml, the sidecar of pictures."""
     cells = {"anyOf": [NUMBER, {"type": "array", "items": NUMBER, "minItems": 4, "maxItems": 4}]}
     pair = {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2}
-    kinds = {key: NUMBER for key in sidecar.NUMBERS} | {key: TEXT for key in sidecar.TEXTS}
+    kinds = dict.fromkeys(sidecar.NUMBERS, NUMBER) | dict.fromkeys(sidecar.TEXTS, TEXT)
     kinds |= {"black_dn": cells, "window": pair, "sensor": pair, "levels_only": {"type": "boolean"}}
     kinds |= {
         "cfa": {"enum": list(CFA_PATTERNS)},
