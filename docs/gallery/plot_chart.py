@@ -5,6 +5,8 @@ Chart
 Patch means with their error bars, from one simulated frame of a chart.
 """
 
+from matplotlib import pyplot as plt
+
 import isetval
 from isetval.core.toml import data_folder
 
@@ -14,4 +16,5 @@ target = plan.shots[0].target
 capture = isetval.simulate(model, plan, seed=1).captures.read("A_chart_sphere")[0]
 result = isetval.measure.chart(capture, boxes=[p.box for p in target.patches], names=[p.name for p in target.patches])
 print(result)
-_ = result.plot()
+figure, axes = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
+_ = result.plot(axes)

@@ -5,6 +5,8 @@ Dark frames
 Mean of darks against exposure time: black level and dark current, by plane.
 """
 
+from matplotlib import pyplot as plt
+
 import isetval
 from isetval.core.toml import data_folder
 
@@ -14,4 +16,5 @@ shot = isetval.simulate(model, plan, seed=1)
 frames = [frame for s in plan.shots for frame in shot.captures.read(s.name)]
 result = isetval.measure.dark(frames)
 print(result)
-_ = result.plot()
+figure, axes = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
+_ = result.plot(axes)

@@ -6,6 +6,7 @@ Flats of a camera with 0.5 DN/e- and 3 e- read noise; the ruler finds both.
 """
 
 import numpy as np
+from matplotlib import pyplot as plt
 
 import isetval
 
@@ -22,4 +23,5 @@ flats = [frame(mean) for mean in (30, 100, 300, 700, 1100, 1500) for _ in range(
 darks = [frame(0) for _ in range(4)]
 result = isetval.measure.photon_transfer(flats, dark=darks)
 print(result)
-_ = result.plot()
+figure, axes = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
+_ = result.plot(axes)

@@ -64,3 +64,5 @@ def test_the_site_is_built_without_warnings(tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     pages = {p.stem for p in (tmp_path / "site" / "effects_by_name").glob("*.html")}
     assert set(catalogue()) <= pages
+    for example in (ROOT / "docs" / "gallery").glob("plot_*.py"):  # every one shows a figure, made by its code
+        assert (tmp_path / "site" / "_images" / f"sphx_glr_{example.stem}_001.png").is_file(), example.stem
