@@ -34,6 +34,7 @@ from isetval.files.loose_files import Asked
 FLATS = 4
 SMALL = 64
 WORKER_FILES = 240
+OVERHEAD_FILES = 128  # a run in one process has at least four works: of 32 files each
 WORKER_ROUNDS = 3
 
 
@@ -94,7 +95,7 @@ def overhead(paths, folder):
         "bare": lambda: [content_of(u, Settings()) for u in units],
         "with store": lambda: run_batch(units, Settings(), Here(), store_folder=folder / f"store{next(number)}"),
     }
-    return {"files": len(units), **side_by_side_ms(tasks, 7)}
+    return {"files": len(units), **side_by_side_ms(tasks, 5)}
 
 
 def workers(paths):
@@ -220,7 +221,7 @@ def measured(files):
         folder = Path(name)
         found = measuring(folder)
         small = [write_plain(folder / f"w_{i:04d}.dng", i, (SMALL, SMALL)) for i in range(WORKER_FILES)]
-        found["overhead_ms_cpu_wall"] = overhead(small[:32], folder)
+        found["overhead_ms_cpu_wall"] = overhead(small[:OVERHEAD_FILES], folder)
         found["workers"] = workers(small)
         found["growth_s_cpu"] = growth(folder, files)
         counts = found["growth_s_cpu"]["files"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,10 @@ class Settings:
 
     def mark(self) -> str:
         """First part of the key of every record made with these settings."""
+        return self._mark
+
+    @cached_property
+    def _mark(self) -> str:
         return content_hash(("measure", FORMAT, METRIC_VERSIONS, self.table()))[:24]
 
 
