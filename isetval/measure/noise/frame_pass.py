@@ -134,10 +134,11 @@ def _row_means(block: Values, frame: Values, part: slice, step: int) -> Float:
     wide = cols if block.dtype == np.float64 else EXACT_SUM // max(int(frame[part].max()), 1)
     wide = max(step, wide // step * step)
     sums = np.zeros((rows, step))
-    masks = np.tile(np.eye(step, dtype=block.dtype), (-(-min(wide, cols) // step), 1))
+    masks = np.tile(np.eye(step, dtype=block.dtype), -(-min(wide, cols) // step))
     for left in range(0, cols, wide):
         own = block[:, left : left + wide]
-        sums += own @ masks[: own.shape[1]]
+        for col in range(step):
+            sums[:, col] += own @ masks[col, : own.shape[1]]
     return np.asarray(sums / [len(range(col, cols, step)) for col in range(step)])
 
 
