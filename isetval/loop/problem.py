@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.core.campaign import Campaign
+from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
 from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
+from isetval.measure.noise.statistics import tilt_power
 
 Float = NDArray[np.float64]
 FLICKER_STEP = 0.01  # of the light: several times the flicker of lamps, well inside the linear range
@@ -130,7 +131,7 @@ def _light_slope(problem: Problem, step: float) -> Float:
 
 
 def _frame_columns(problem: Problem) -> list[Float]:
-    """Columns of light that flickers from frame to frame: one random number per shot, sigma / sqrt(frames)."""
+    """Columns of light that flickers from frame to frame: of each shot's mean, sigma / sqrt(frames), and of the rise over it."""
     plan, predictor = problem.plan, problem.predictor
     priors = [n for n in plan.nuisances if n.scope == "frame" and n.parameter == "light_level"]
     if not priors:
@@ -146,4 +147,17 @@ def _frame_columns(problem: Problem) -> list[Float]:
             column = np.zeros_like(slope)
             column[predictor.rows[shot.name]] = sigma * slope[predictor.rows[shot.name]]
             out.append(column)
+            out.append(_rises(predictor, shot, sigma * slope))
     return out
+
+
+def _rises(predictor: Predictor, shot: Shot, of_mean: Float) -> Float:
+    """What a flicker that gives the means of a shot ``of_mean`` (metrics,) gives the rises of its frames: independent of it."""
+    metrics = predictor.table.metrics
+    rows = predictor.rows[shot.name]
+    means = {metrics[i].channel: of_mean[i] for i in rows if metrics[i].name == "mean"}
+    column = np.zeros_like(of_mean)
+    for i in rows:
+        if metrics[i].name == "frame_drift":
+            column[i] = means.get(metrics[i].channel, 0.0) * np.sqrt(shot.frames / tilt_power(shot.frames))
+    return column

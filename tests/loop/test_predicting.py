@@ -19,6 +19,7 @@ from isetval.loop.telling import Teller
 from isetval.measure.campaign import measure_campaign, measure_shot, measure_shots
 
 LEVEL = "light_level@set-up:edge"
+FLICKER = 0.002
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +141,8 @@ def bright(model):
         Shot(f"flat{i}", "flat", "series", exposure=Exposure(t), frames=4, light="sphere", window=(200, 300, 64, 64))
         for i, t in enumerate(times)
     )
-    unknown = (Nuisance("light_level", 0.02, "relative", "set-up"), Nuisance("light_tilt_x", 0.005, "relative", "set-up"))
+    level, tilt = Nuisance("light_level", 0.02, "relative", "set-up"), Nuisance("light_tilt_x", 0.005, "relative", "set-up")
+    unknown = (level, tilt, Nuisance("light_level", FLICKER, "relative", "frame"))
     light = {"sphere": Light("sphere", Spectrum.flat(0.004))}
     plan = Campaign("bright", shots, lights=light, nuisances=unknown, sensor=model.sensor)
     table = measure_campaign(simulate(model, plan, 3), summaries=False)
@@ -159,3 +161,16 @@ def test_derivatives_of_the_light_are_those_of_the_means_and_hold_little_noise(m
     assert all(r > 0.9 for (shot, _), r in rise.items() if shot == "flat3")
     blind = np.array([m.name not in ("mean", "gradient", "temporal_variance", "fixed_pixel_variance") for m in metrics])
     assert np.linalg.norm(tilt[blind]) < 0.4
+
+
+def test_a_light_that_flickers_makes_frames_rise_as_much_as_stated(model, bright):
+    """A lamp that warms up within a series was not seen: of flats the frames were not told apart."""
+    metrics = bright.predictor.table.metrics
+    rises = [i for i, m in enumerate(metrics) if m.name == "frame_drift" and m.shot != "flat3"]
+    assert len(rises) == 12
+    sigma = np.sqrt(np.diag(bright.covariance))[rises]
+    drawn = [measure_campaign(simulate(model, bright.plan, seed, draw=True), summaries=False) for seed in range(40, 50)]
+    pulls = np.array([[{m.key(): m.value for m in t.metrics}[metrics[i].key()] for i in rises] for t in drawn]) / sigma
+    assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.4  # 30 independent frames' lights: 1/sqrt(60) is .13
+    bare = np.sqrt(np.diag(bright.base.covariance))[rises]
+    assert np.sqrt(np.mean((pulls * sigma / bare) ** 2)) > 2

@@ -87,9 +87,8 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
                 )
             )
         links.append((plane, here, there))
-        if shot.role == "dark" and clipped <= TOUCHED:
-            rows += _drift(conditions, plane_statistics)
         if clipped <= TOUCHED:
+            rows += _drift(shot, conditions, plane_statistics)
             for row, common in _counts(shot, conditions, plane, plane_statistics):
                 shared.setdefault(f"{shot.role}:defects:{plane}:{window_label(shot)}", []).append((len(rows), common))
                 rows.append(row)
@@ -100,12 +99,13 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     return Block(tuple(rows), correlation, columns, differences=Differences(draws=DRAWS[shot.role]))
 
 
-def _drift(conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metric]:
+def _drift(shot: Shot, conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metric]:
     """Rise of the frames' means from the first to the last: what the mean over frames hides.  It is independent of that mean."""
     if statistics.frames < LEAST_FRAMES:
         return []
     rise = frame_drift(statistics.frame_means_dn, statistics.frame_mean_sigma_dn)
-    return [metric(conditions, "frame_drift", rise.value, rise.sigma, "DN", channel=statistics.plane, family="dark_frame_drift")]
+    family = f"{shot.role}_frame_drift"
+    return [metric(conditions, "frame_drift", rise.value, rise.sigma, "DN", channel=statistics.plane, family=family)]
 
 
 def _clipped(captures: Sequence[Capture], plane: str) -> float:

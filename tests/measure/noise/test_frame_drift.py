@@ -1,4 +1,4 @@
-"""Drift of the mean within a series of darks: seen although the mean over frames hides it."""
+"""Drift of the mean within a series of darks or flats: seen although the mean over frames hides it."""
 
 import math
 
@@ -25,8 +25,8 @@ def darks(rise_dn, seed, jitter_dn=0.0):
     return tuple(out)
 
 
-def drifts(captures):
-    rows = analyze(Shot("d", "dark", frames=FRAMES, exposure=Exposure(1.0)), captures, {}).metrics
+def drifts(captures, role="dark"):
+    rows = analyze(Shot("d", role, frames=FRAMES, exposure=Exposure(1.0)), captures, {}).metrics
     return [m for m in rows if m.name == "frame_drift"]
 
 
@@ -61,3 +61,9 @@ def test_a_straight_rise_is_exact():
 
 def test_three_frames_state_no_drift():
     assert not drifts(darks(0.5, 1)[:3])
+
+
+def test_flats_state_the_drift_of_their_light():
+    assert [(m.channel, m.family) for m in drifts(darks(0.5, 1), "flat")] == [
+        (c, "flat_frame_drift") for c in ("R", "Gr", "Gb", "B")
+    ]
