@@ -13,11 +13,11 @@ from isetval.core.version import VERSION
 _NAMED = ("numpy", "scipy", "pandas", "rawpy", "opencv-contrib-python-headless", "mitsuba")
 METRIC_VERSIONS = {
     "chart": 1,
-    "dark": 3,
+    "dark": 4,
     "find_edges": 3,
-    "flat_fields": 3,
+    "flat_fields": 4,
     "patches": 2,
-    "photon_transfer": 3,
+    "photon_transfer": 4,
     "relative_illumination": 2,
     "sfr": 3,
     "uniform_patches": 1,
