@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +61,9 @@ class Cos4(Effect):
 class Vignetting(Effect):
     """Mechanical vignetting: loss with a sharp onset beyond a field radius.
 
-    Confounded with a radial light field and the microlens; a smaller stop removes it.  The change of
-    the corner's blur by the cut pupil is not modelled.
+    Confounded with a radial light field and the microlens; a smaller stop removes it.  A rim as large as the pupil that
+    moves off it takes 4/pi of its shift, to first order: ``power`` 1.  The change of the corner's blur by the cut pupil is not
+    modelled.
     """
 
     name = "vignetting"
@@ -76,19 +78,24 @@ class Vignetting(Effect):
         "cos4",
     )
     free = FreeAxis("field radius", "gain", 0.2)
-    equation = "E x (1 - v max(0, (r - r0)/(1 - r0))^2), r = 1 at the corner"
-    reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., sec. 8.1 (vignetting); quadratic onset is a convention"
+    equation = "E x (1 - v max(0, (r - r0)/(1 - r0))^power), r = 1 at the corner"
+    reference = (
+        "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., sec. 8.1 (vignetting); Asada, Amano & Baba, ICPR 1996, 186 "
+        "(overlap of two discs); quadratic onset is a convention"
+    )
     must_not_change = ("dark",)
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"power": (2.0, 1.0)}
 
     v: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.2, doc="loss at the corner")
     r0: float = parameter(0.6, unit="half diagonal", low=0.0, high=0.99, tau=0.15, shape=True, doc="onset r0")
+    power: float = parameter(2.0, unit="1", low=0.5, high=8.0, shape=True, doc="power with which the loss sets in")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale by the loss of each pixel."""
         if not self.v:
             return signal
         reach = np.maximum(0.0, (context.field_radius() - self.r0) / (1 - self.r0))
-        return signal.scaled(1 - self.v * reach[None] ** 2)
+        return signal.scaled(1 - self.v * reach[None] ** self.power)
 
 
 @dataclass(frozen=True, kw_only=True)
