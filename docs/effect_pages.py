@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SHOTS = ("A_dark0", "A_dark2", "A_flat1", "A_flat5", "A_field1", "A_field5", "A_edge_center_v_z0")
+WIDTH = 78  # letters of a line of code beside the sidebar
 LEAST = 1e-6  # relative change that is drawn: below it is rounding
 
 
@@ -39,7 +41,8 @@ def _index(known):
 
 
 def _page(cls, drawn):
-    text = inspect.cleandoc(cls.__doc__ or "")
+    paragraphs = inspect.cleandoc(cls.__doc__ or "").split("\n\n")
+    text = "\n\n".join(textwrap.fill(" ".join(p.split()), WIDTH) for p in paragraphs)
     lines = [f"# {cls.name}", "", "```text", *text.splitlines(), "```", ""]
     facts = [
         ("stage", f"{cls.stage}, place {cls.order:g}"),
@@ -52,7 +55,7 @@ def _page(cls, drawn):
         if value:
             facts.append((words, value if isinstance(value, str) else ", ".join(map(str, value))))
     lines += ["| | |", "|---|---|", *(f"| {key} | {_cell(value)} |" for key, value in facts), ""]
-    lines += ["## Equation", "", "```text", cls.equation, "```", "", f"Source: {cls.reference}", ""]
+    lines += ["## Equation", "", "```text", *textwrap.wrap(cls.equation, WIDTH), "```", "", f"Source: {cls.reference}", ""]
     if cls.parameters():
         lines += ["## Parameters", "", "| name | unit | range | no effect at | plausible scale | |", "|---|---|---|---|---|---|"]
         for p in cls.parameters():
