@@ -40,7 +40,14 @@ def headline_tables(rows: Sequence[Row], *, files: Files | None = None, sign: st
 
     ``files`` are the described files of a measurement: their shapes say where in the frame an edge lies.
     """
-    found = [*_series(rows, sign), *_charts(rows, sign), *_falloff(rows, sign), *_sharpness(rows, sign, files or {})]
+    made = (
+        _series(rows, sign),
+        _charts(rows, sign),
+        _disks(rows, sign),
+        _falloff(rows, sign),
+        _sharpness(rows, sign, files or {}),
+    )
+    found = [entry for part in made for entry in part]
     return [(title, table) for title, table in found if len(table) > 1]
 
 
@@ -85,6 +92,25 @@ def _charts(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
     table: Table = [("dE2000", *COLOR_ERRORS.values())]
     table += [(place, *(_quantity(here[name], sign) for name in COLOR_ERRORS if name in here)) for place, here in own.items()]
     yield "chart, mean colour error of the patches", table
+
+
+def _disks(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
+    """Printed disks: how many, the sharpest and the least sharp edges of each colour, the largest lateral colour."""
+    count = [row for row in rows if row["name"] == "disk_radius"]
+    mtf50 = [row for row in rows if row["name"] == "disk_mtf50"]
+    channels = list(dict.fromkeys(str(row.get("channel", "")) for row in count))
+    table: Table = [("printed disks", "accepted", "MTF50, sharpest", "MTF50, least sharp")]
+    for channel in channels:
+        own = [row for row in mtf50 if row.get("channel", "") == channel]
+        ends = [_quantity(pick(own, key=lambda r: float(r["value"])), sign) for pick in (max, min)] if own else ["", ""]
+        table.append((channel, str(sum(row.get("channel", "") == channel for row in count)), *ends))
+    yield "printed disks", table
+    lateral = [row for row in rows if row["name"] == "lateral_color_radial"]
+    colors: Table = [("lateral colour", "largest, away from the middle", "where")]
+    for channel in dict.fromkeys(str(row.get("channel", "")) for row in lateral):
+        row = max((r for r in lateral if r.get("channel", "") == channel), key=lambda r: abs(float(r["value"])))
+        colors.append((channel, _quantity(row, sign), str(row.get("shot") or row.get("file", ""))))
+    yield "lateral colour of the disks", colors
 
 
 def _of(session: str) -> str:

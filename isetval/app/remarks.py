@@ -1,30 +1,39 @@
-"""Remarks for people: those that many shots share are said once, and a capture's quality before anything else."""
+"""Remarks for people: those that many shots or files share are said once, and a capture's quality before anything else."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-SHOT = re.compile(r"shot (?P<shot>\S+?): (?P<text>.*)", re.S)
+OWNER = re.compile(r"(?:shot (?P<shot>\S+?)|(?P<file>[^:\s][^:]*\.\w{2,4})): (?P<text>.*)", re.S)
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
-MANY = 3  # shots beyond which a remark that differs in its numbers alone is said once
+MANY = 3  # shots or files beyond which a remark that differs in its numbers alone is said once
 
 
 def gathered(notes: Sequence[str]) -> list[str]:
-    """The remarks; of those that differ only in the shot and in numbers, the first with the number of its like."""
+    """The remarks; of those that differ only in the shot or file and in numbers, the first with the number of its like."""
     kinds: dict[str, list[str]] = {}
     for note in notes:
-        found = SHOT.fullmatch(note)
-        kinds.setdefault(NUMBER.sub("#", found["text"]) if found else note, []).append(note)
+        _, name, text = _parts(note)
+        kinds.setdefault(NUMBER.sub("#", text) if name else note, []).append(note)
     out: list[str] = []
     for own in kinds.values():
-        matches = [match for note in own if (match := SHOT.fullmatch(note))]
-        if len(matches) <= MANY:
+        kind, first, text = _parts(own[0])
+        if len(own) <= MANY or not first:
             out += dict.fromkeys(own)
-            continue
-        first, last = matches[0], matches[-1]
-        out.append(f"{len(matches)} shots, {first['shot']} to {last['shot']}; the first: {first['text']}")
+        else:
+            out.append(f"{len(own)} {kind}s, {first} to {_parts(own[-1])[1]}; the first: {text}")
     return out
+
+
+def _parts(note: str) -> tuple[str, str, str]:
+    """``shot`` or ``file``, its name, and what is said of it; a file's remark on its own shot without the shot."""
+    found = OWNER.fullmatch(note)
+    if not found:
+        return "", "", note
+    if found["shot"]:
+        return "shot", found["shot"], found["text"]
+    return "file", found["file"], found["text"].removeprefix(f"shot {found['file']}: ")
 
 
 def quality_first(notes: Sequence[str]) -> tuple[list[str], list[str]]:

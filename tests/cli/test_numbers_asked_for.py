@@ -73,12 +73,14 @@ def test_a_chart_tells_its_colour_error_with_and_without_a_matrix(run_json, run,
 def test_remarks_of_many_shots_are_said_once_and_verdicts_come_first():
     notes = [f"shot flat_{i:03d}: plane R: {1000 + i} of 3072 blocks are clipped" for i in range(12)]
     notes += ["shot a: no chart", "shot b: no chart", "x.dng: capture quality: usable"]
+    notes += [f"my disks_{i}.tif: shot my disks_{i}.tif: none of {i} disks fits" for i in range(5)]
     verdicts, others = quality_first(notes)
     assert verdicts == ["x.dng: capture quality: usable"]
     assert gathered(others) == [
         "12 shots, flat_000 to flat_011; the first: plane R: 1000 of 3072 blocks are clipped",
         "shot a: no chart",
         "shot b: no chart",
+        "5 files, my disks_0.tif to my disks_4.tif; the first: none of 0 disks fits",
     ]
 
 
@@ -96,3 +98,15 @@ def test_a_folder_of_pictures_without_levels_is_told_what_to_write(run, tmp_path
     code, _, err = run("measure", tmp_path / "dark.raw")
     assert code == 3
     assert "--raw-shape" in err
+
+
+def test_disks_are_counted_and_told_by_their_extremes():
+    def row(name, value, channel, shot, unit="px"):
+        return {"name": name, "value": value, "sigma": 0.01, "unit": unit, "channel": channel, "shot": shot}
+
+    rows = [row("disk_radius", 9.0, "G", shot) for shot in ("a", "a", "b")]
+    rows += [row("disk_mtf50", v, "G", s, "cy/px") for v, s in ((0.2, "a"), (0.3, "b"))]
+    rows += [row("lateral_color_radial", v, "R-G", s) for v, s in ((0.1, "a"), (-0.4, "b"))]
+    tables = dict(headline_tables(rows))
+    assert tables["printed disks"][1:] == [("G", "3", "0.300 +- 0.010 cy/px", "0.200 +- 0.010 cy/px")]
+    assert tables["lateral colour of the disks"][1:] == [("R-G", "-0.400 +- 0.010 px", "b")]

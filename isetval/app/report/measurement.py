@@ -47,7 +47,7 @@ def measurement_html(
             }
             for sheet in sheets
         ],
-        quality=quality,
+        quality=gathered(quality),
         notes=[*_warnings(result), *gathered(notes)],
         skipped=result.get("skipped", ()),
         command=" ".join(made.get("command", ())),
