@@ -50,9 +50,12 @@ def sheets_of_files(
 
 
 def frame_sheets(capture: Capture, name: str, *, role: str | None = None, channel: str = "") -> list[Sheet]:
-    """The chart of a frame where there is one, else its edges."""
+    """The chart of a frame where there is one, else its edges; of printed disks the disks."""
+    from isetval.app.plots.disk_sheet import disk_sheet
     from isetval.app.plots.sheets import chart_sheet, edge_sheets
 
+    if role == "disk":
+        return [disk_sheet(capture, name)]
     if role in (None, "chart"):
         try:
             return [chart_sheet(capture, name)]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 OWNER = re.compile(r"(?:shot (?P<shot>\S+?)|(?P<file>[^:\s][^:]*\.\w{2,4})): (?P<text>.*)", re.S)
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
+VERDICT = re.compile(r"capture quality: (?P<verdict>\w+)(?: \((?P<why>[^)]*)\))?")
 MANY = 3  # shots or files beyond which a remark that differs in its numbers alone is said once
 
 
@@ -37,6 +40,26 @@ def _parts(note: str) -> tuple[str, str, str]:
 
 
 def quality_first(notes: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Verdicts on the quality of captures, and the other remarks."""
+    """Verdicts on the quality of captures (of many, how often each was given and why), and the other remarks."""
     verdicts = [note for note in notes if ": capture quality" in note]
-    return verdicts, [note for note in notes if note not in verdicts]
+    others = [note for note in notes if note not in verdicts]
+    if len(verdicts) <= MANY:
+        return verdicts, others
+    said = Counter(match["verdict"] for note in verdicts if (match := VERDICT.search(note)))
+    why = Counter(reason for note in verdicts if (match := VERDICT.search(note)) for reason in (match["why"] or "").split(", "))
+    words = ", ".join(f"{count} {verdict}" for verdict, count in said.most_common())
+    reasons = ", ".join(f"{reason} in {count}" for reason, count in why.most_common() if reason)
+    return [f"capture quality of {len(verdicts)} files: {words}" + (f" ({reasons})" if reasons else "")], others
+
+
+def warnings_of(files: Mapping[str, Any]) -> list[str]:
+    """What the readers warn of; of many files with one kind of warning, the first and how many there are."""
+    kinds: dict[str, list[str]] = {}
+    for about in files.values():
+        for warning in about.get("warnings", ()):
+            kinds.setdefault(str(warning.get("code", "")), []).append(str(warning["message"]))
+    out: list[str] = []
+    for own in kinds.values():
+        alike = list(dict.fromkeys(own))
+        out += alike if len(alike) <= MANY else [f"{len(own)} files; the first: {own[0]}"]
+    return out

@@ -76,6 +76,8 @@ def test_remarks_of_many_shots_are_said_once_and_verdicts_come_first():
     notes += [f"my disks_{i}.tif: shot my disks_{i}.tif: none of {i} disks fits" for i in range(5)]
     verdicts, others = quality_first(notes)
     assert verdicts == ["x.dng: capture quality: usable"]
+    many = [f"{i}.dng: capture quality: {'usable (dark)' if i else 'good'}" for i in range(9)]
+    assert quality_first(many)[0] == ["capture quality of 9 files: 8 usable, 1 good (dark in 8)"]
     assert gathered(others) == [
         "12 shots, flat_000 to flat_011; the first: plane R: 1000 of 3072 blocks are clipped",
         "shot a: no chart",

@@ -167,3 +167,24 @@ def test_the_page_fits_a_phone_and_a_desk(flats, tmp_path):
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
         scroll, inner = map(int, re.search(r"<title>(\d+)/(\d+)</title>", done.stdout).groups())
         assert scroll <= inner, width
+
+
+def test_printed_disks_are_drawn_with_what_was_found(tmp_path):
+    rng = np.random.default_rng(2)
+    row, col = np.mgrid[:160, :200]
+    light = np.ones((160, 200))
+    centers = [(30 + 50 * i, 30 + 60 * j) for i in range(3) for j in range(3)]
+    for r, c in centers:
+        light -= 0.8 / (1 + np.exp((np.hypot(row - r, col - c) - 12) / 0.7))
+    codes = np.clip(np.rint(64 + 0.1 * rng.poisson(6000 * light)), 0, 1023).astype(int)
+    isetval.write_dng(tmp_path / "disks.dng", isetval.Capture.from_array(codes, time_s=0.01))
+    page = tmp_path / "disks.html"
+    assert main(["measure", str(tmp_path / "disks.dng"), "--role", "disk", "-o", str(page), "-q"]) == 0
+    text = page.read_text()
+    assert "disks.dng: disks</h2>" in text
+    result = json.loads(re.search(r'id="data-json">(.*?)</script>', text, re.S).group(1))
+    drawn = [d for d in result["curves"]["disks.dng: disks"]["disks"] if d["channel"] == "G"]
+    assert len(drawn) == len(centers)
+    for disk in drawn:  # the planted places and radius; .05 px is the sigma of a fit at this noise, several times
+        assert min(np.hypot(disk["row_px"] - r, disk["col_px"] - c) for r, c in centers) < 0.2
+        assert disk["radius_px"] == pytest.approx(12, abs=0.3)

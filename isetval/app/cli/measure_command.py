@@ -221,10 +221,11 @@ def _campaign_lines(table: MetricTable) -> list[str]:
 
 def _doubt_lines(skipped: Iterable[tuple[str, str]], notes: Iterable[str]) -> list[str]:
     from isetval.app.cli.file_words import counted_rejections
-    from isetval.app.remarks import gathered
+    from isetval.app.remarks import gathered, quality_first
 
     lines = [f"left out: {file}: {reason}" for file, reason in skipped]
-    return lines + [f"note: {note}" for note in gathered(counted_rejections(list(notes)))]
+    verdicts, others = quality_first(counted_rejections(list(notes)))
+    return lines + [f"note: {note}" for note in (*verdicts, *gathered(others))]
 
 
 def metric_row(m: Metric, sigma: float, *, file: str = "") -> dict[str, Any]:

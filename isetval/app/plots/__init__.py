@@ -16,6 +16,8 @@ _NAMES = {
     "plot_dark_mean": "isetval.app.plots.dark_series",
     "plot_dark_noise": "isetval.app.plots.dark_series",
     "plot_diagnosis": "isetval.app.plots.loop",
+    "plot_disk_sfr": "isetval.app.plots.disk_sheet",
+    "plot_disks": "isetval.app.plots.disk_sheet",
     "plot_edge_profile": "isetval.app.plots.edges",
     "plot_edges": "isetval.app.plots.edges",
     "plot_fixed_pattern": "isetval.app.plots.noise",

@@ -9,7 +9,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.plots.panels import figure_bytes, pdf_bytes
-from isetval.app.remarks import gathered, quality_first
+from isetval.app.remarks import gathered, quality_first, warnings_of
 from isetval.app.report.pages import rendered
 from isetval.core.errors import InputError
 
@@ -47,8 +47,8 @@ def measurement_html(
             }
             for sheet in sheets
         ],
-        quality=gathered(quality),
-        notes=[*_warnings(result), *gathered(notes)],
+        quality=quality,
+        notes=[*warnings_of(result.get("files", {})), *gathered(notes)],
         skipped=result.get("skipped", ()),
         command=" ".join(made.get("command", ())),
         versions=made.get("versions", {}),
@@ -64,12 +64,6 @@ def _files_words(files: Sequence[str]) -> str:
         return ", ".join(PurePath(path).name for path in files) or "files"
     folders = dict.fromkeys(PurePath(path).parent.name for path in files)
     return f"{len(files)} files of {', '.join(list(folders)[:NAMED_FILES])}{' ...' if len(folders) > NAMED_FILES else ''}"
-
-
-def _warnings(result: Mapping[str, Any]) -> list[str]:
-    """What the readers warn of, once where several files share it."""
-    said = [w["message"] for about in result.get("files", {}).values() for w in about.get("warnings", ())]
-    return list(dict.fromkeys(said))
 
 
 def measurement_picture(sheets: Sequence[Sheet], kind: str) -> bytes:
