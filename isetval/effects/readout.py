@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -278,8 +279,8 @@ class AlternatingColumns(Effect):
     """Columns read by two converters in turn, which differ in gain and offset: a fixed pattern of period ``period_px``.
 
     The gain part grows with the level (column_fpn does not) and is the same for all rows (prnu is not).  On a color mosaic
-    with period 2 it would be a difference of colors; converters there alternate by pairs of columns, period 4.  Sensors
-    with one converter for all columns do not have it.
+    converters alternate by pairs of columns, period 4, or by larger groups; with period 2 it is a difference of colors and of
+    both greens.  Sensors with one converter for all columns do not have it.
     """
 
     name = "alternating_columns"
@@ -292,7 +293,9 @@ class AlternatingColumns(Effect):
         "column_fpn",
         "prnu",
         "channel_gain",
+        "gr_gb_imbalance",
     )
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"period_px": (4.0, 2.0, 8.0, 16.0)}
     equation = "DN (1 +- d) +- o, + in the first half of each period of columns, - in the second"
     reference = "EMVA Standard 1288 Release 4.0, sec. 8 (periodic nonuniformity in spectrograms)"
 

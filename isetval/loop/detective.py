@@ -196,7 +196,7 @@ def _move_base(case: Investigation, say: Say) -> None:
 def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> Hypothesis | None:
     """The hypothesis that should stand instead, or None; where they are close the hold-out is asked."""
     _refit(case, say, first=first)
-    rivals = [h for h in case.known.values() if h.names not in seen and len(h.effects) <= MAX_EFFECTS]
+    rivals = _rivals(case, seen)
     lead = max(rivals, key=case.score, default=None)
     if lead is None:
         return None
@@ -208,10 +208,17 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> 
     return _winner(case, seen)
 
 
+def _rivals(case: Investigation, seen: set[Names]) -> list[Hypothesis]:
+    """What may stand instead: what has not stood yet, and parts of what stands (a name that a new base denies is taken back)."""
+    stands = case.standing.names
+    return [h for h in case.known.values() if (h.names not in seen or h.names < stands) and len(h.effects) <= MAX_EFFECTS]
+
+
 def _winner(case: Investigation, seen: set[Names]) -> Hypothesis | None:
     """The most probable hypothesis that was fitted and has what it needs against what stands, or None."""
-    rivals = [h for h in case.known.values() if h.names not in seen and len(h.effects) <= MAX_EFFECTS]
-    wins = [h for h in rivals if case.score(h) - case.score(case.standing) > _needed(case, h) and _asked_for(case, h)]
+    wins = [
+        h for h in _rivals(case, seen) if case.score(h) - case.score(case.standing) > _needed(case, h) and _asked_for(case, h)
+    ]
     return max(wins, key=case.score, default=None)
 
 

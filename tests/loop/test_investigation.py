@@ -115,6 +115,14 @@ def test_a_member_that_is_not_needed_is_taken_out():
     assert _better(case, quiet, {case.standing.names}, first=False).names == {"dark_current"}
 
 
+def test_a_name_that_a_new_base_denies_is_taken_back():
+    """What stood before may stand again as a part: a gain that was first fitted on a wrong stair kept a glare beside it."""
+    case = case_of(10.0 * np.eye(ROWS)[0])
+    stand(case, "dark_current", "temporal_row_noise")
+    before = {NOTHING, frozenset({"dark_current"}), case.standing.names}
+    assert _better(case, quiet, before, first=False).names == {"dark_current"}
+
+
 @pytest.mark.parametrize(("said", "named"), [(-6.0, False), (6.0, True)])
 def test_what_the_hold_out_says_adds_to_the_evidence(monkeypatch, said, named):
     """An effect of even odds is named where a second session is e^6 times as probable with it, and not where e^6 times less."""
