@@ -46,11 +46,11 @@ def main():
     for part in args.only.split(","):
         print(f"measuring {part}", file=sys.stderr)
         found += PARTS[part](args)
-    loads = (load, os.getloadavg()[0])
-    print("\n".join(table_lines(found, loads)))
-    if args.output:
-        rows = [vars(row) | {"name": row.name.strip(), "met": row.met} for row in found]
-        args.output.write_text(json.dumps({"rows": rows, "load": loads, "cores": os.cpu_count()}, indent=1) + "\n")
+        if args.output:  # after each part: the others take minutes
+            rows = [vars(row) | {"name": row.name.strip(), "met": row.met} for row in found]
+            loads = (load, os.getloadavg()[0])
+            args.output.write_text(json.dumps({"rows": rows, "load": loads, "cores": os.cpu_count()}, indent=1) + "\n")
+    print("\n".join(table_lines(found, (load, os.getloadavg()[0]))))
 
 
 if __name__ == "__main__":

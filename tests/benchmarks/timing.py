@@ -23,7 +23,7 @@ class Row:
         if not self.goal:
             return None
         relation, _, bound = self.goal.partition(" ")
-        return self.measured >= float(bound) if relation == ">=" else self.measured <= float(bound)
+        return bool(self.measured >= float(bound) if relation == ">=" else self.measured <= float(bound))
 
 
 def cpu_wall_ms(function, repeats=5):
