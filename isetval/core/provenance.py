@@ -44,5 +44,8 @@ class Provenance(Mapping[str, Any]):
     def __or__(self, other: Mapping[str, Any]) -> dict[str, Any]:
         return dict(self) | dict(other)
 
+    def __ror__(self, other: Mapping[str, Any]) -> dict[str, Any]:
+        return dict(other) | dict(self)
+
     def __reduce__(self) -> tuple[type[Provenance], tuple[dict[str, Any]]]:
         return Provenance, (dict(self),)

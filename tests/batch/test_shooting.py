@@ -2,6 +2,7 @@
 
 import pytest
 from batch_runs import command, finished, group_members, kill_group, until
+from faults import dask_cluster
 
 import isetval
 from isetval.app.cli import main
@@ -83,6 +84,16 @@ def test_a_killed_run_goes_on(plan, quiet, tmp_path):
         assert (tmp_path / "night" / marked.name).stat().st_mtime_ns == was  # the same file, not shot again
     assert bytes_of(tmp_path / "night") == quiet
     assert [path.name for path in tmp_path.iterdir()] == ["night"]
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_bytes(plan, quiet, tmp_path):
+    """A dask scheduler and two workers on loopback."""
+    pytest.importorskip("distributed")
+    (tmp_path / "lab").mkdir()
+    with dask_cluster(tmp_path) as (file, _):
+        assert simulated(plan, tmp_path / "lab" / "night", "--scheduler-file", str(file)) == 0
+    assert bytes_of(tmp_path / "lab" / "night") == quiet
 
 
 def test_a_full_folder_is_refused(plan, tmp_path, capsys):

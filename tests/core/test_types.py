@@ -1,5 +1,9 @@
 """Sensor, capture, spectrum, metric table, random streams: against closed forms and hand-made cases."""
 
+import copy
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +11,7 @@ from isetval.core.capture import Capture, black_image_dn, plane_black_dn, plane_
 from isetval.core.context import fixed_normal, stream
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric, MetricTable
+from isetval.core.provenance import Provenance
 from isetval.core.scene import Spectrum, read_spectra
 from isetval.core.sensor import Sensor, pattern_at, plane_position
 
@@ -93,3 +98,18 @@ def test_fixed_pattern_is_the_same_in_every_window_and_normal():
     assert abs(whole.var() - 1) < 5 * np.sqrt(2 / n)
     assert not np.array_equal(fixed_normal(6, (1, 2), (0, 0, 8, 8)), whole[:8, :8])
     assert stream(1, 2, 3).random() != stream(1, 3, 2).random()
+
+
+def test_provenance_is_worked_out_once_and_when_it_is_asked_for():
+    """What is to come is known by name, costs nothing until it is looked at, and survives crops and copies."""
+    calls = []
+    facts = Provenance({"file": "a.dng"}, {"sha256": lambda: calls.append(1) or "abc"})
+    capture = Capture.from_array(np.zeros((4, 4), int), provenance=facts)
+    crop = replace(capture, mosaic=capture.mosaic[:2])
+    assert set(crop.provenance) == {"file", "sha256"}
+    assert not calls
+    assert crop.provenance["sha256"] == capture.provenance["sha256"] == "abc"
+    assert calls == [1]
+    assert dict(facts) == {"file": "a.dng", "sha256": "abc"} == copy.deepcopy(facts) == pickle.loads(pickle.dumps(facts))
+    assert facts | {"file": "b"} == {"file": "b", "sha256": "abc"}
+    assert {"file": "b"} | facts == {"file": "a.dng", "sha256": "abc"}
