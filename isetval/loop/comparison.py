@@ -103,8 +103,12 @@ def _mean_square(problem: Problem, fit: Fit, mask: Mask, *, whole: bool) -> tupl
 
 
 def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Float) -> float:
-    """What a true model shows: as its replicas scatter; 1 for rows that are given with their own error bars."""
-    own = ~given_rows(problem.predictor.table)[rows]
+    """What a true model shows: as its replicas scatter; 1 for rows that are given with their own error bars, and for counts.
+
+    Rare things that no replica has seen scatter by nothing: single events of 1.2 sigmas would be told as a mean square of 20.
+    """
+    rare = np.array([m.count for m in problem.predictor.table.metrics], bool)
+    own = ~(given_rows(problem.predictor.table) | rare)[rows]
     if not own.any():
         return 1.0
     expected = expected_mean_square(problem.base.values[:, rows[own]], covariance[np.ix_(own, own)])

@@ -1,17 +1,18 @@
 """What was fitted to captures and what was not never share a number."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
-from isetval.core.metric import Metric
+from isetval.core.metric import Block, Metric, MetricTable
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
-from isetval.loop.comparison import captures_of, fitted_to
+from isetval.loop.comparison import _true_mean_square, captures_of, fitted_to
 
 WINDOW = (1464, 1968, 32, 32)
 
@@ -68,3 +69,11 @@ def test_nothing_fitted_is_all_prediction(model, captures):
     assert whole.captures == "lab/A + lab/B"
     # a true model: chi2 per degree of freedom is 1 within its own scatter
     assert whole.mean_square_z == pytest.approx(1.0, abs=5 * np.sqrt(2 / whole.n))
+
+
+def test_counts_that_no_replica_has_seen_keep_their_error_bars():
+    """64 replicas without an event scatter by nothing; divided by that, one event in a row would be a mean square of 20."""
+    metrics = [Metric("outliers", 2.35, 1.0, "1", shot=str(i), family="dark_outliers", count=True) for i in range(8)]
+    table = MetricTable((Block(tuple(metrics)),))
+    problem = SimpleNamespace(predictor=SimpleNamespace(table=table), base=SimpleNamespace(values=np.full((64, 8), 1.22)))
+    assert _true_mean_square(problem, np.arange(8), np.eye(8)) == 1.0
