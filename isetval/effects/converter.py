@@ -145,10 +145,10 @@ class BlackLevel(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Quantization(Effect):
-    """The converter: rounding to steps, limits at 0 and white, uneven code widths.
+    """The converter: rounding to steps, limits at 0 and white.
 
     The variance grows by step^2/12 only where the noise is wider than about half a step; code
-    occupancy of a bright flat shows steps and widths.  The expectation is limited but not rounded.
+    occupancy of a bright flat shows steps.  The expectation is limited but not rounded.
     """
 
     name = "quantization"
@@ -161,25 +161,21 @@ class Quantization(Effect):
         "read_noise",
         "conversion_gain",
         "linearization_table",
+        "uneven_codes",
     )
-    equation = "step x round((DN + dnl z(code)) / step), limited to 0 ... white"
-    reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4; IEEE Std 1241 (differential non-linearity)"
+    equation = "step x round(DN / step), limited to 0 ... white"
+    reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4"
 
     step_dn: float = parameter(0.0, unit="DN", low=0.0, high=256.0, tau=1.0, doc="step of the converter (0: no rounding)")
-    dnl_dn: float = parameter(0.0, unit="DN", low=0.0, high=10.0, doc="standard deviation of code places")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Round and limit."""
         values = signal.values
         if self.step_dn and context.mode != "expected":
-            values = self._rounded(values, context)
+            values = self._rounded(values)
         return signal.with_values(np.clip(values, 0, context.sensor.white_dn))
 
-    def _rounded(self, values: Array, context: Context) -> Array:
-        if self.dnl_dn:
-            white = int(context.sensor.white_dn)
-            place = (self.dnl_dn * context.fixed_rng().standard_normal(white + 1)).astype(values.dtype)
-            values = values + place[np.clip(np.rint(values), 0, white).astype(np.intp)]
+    def _rounded(self, values: Array) -> Array:
         codes = values * (1 / self.step_dn)
         np.rint(codes, out=codes)
         codes *= self.step_dn

@@ -9,6 +9,7 @@ from isetval.core.signal import Signal
 from isetval.effects.converter import BlackLevel, ConversionGain, GainKnee, Nonlinearity, Quantization
 from isetval.effects.electrons import GrGbImbalance
 from isetval.effects.readout import ColumnFpn, Dsnu, ReadNoise, ResetNoise, RowFpn, Rts, TemporalRowNoise
+from isetval.effects.uneven_codes import UnevenCodes
 
 N = 256 * 256
 
@@ -113,10 +114,24 @@ def test_converter_limits_and_steps(place):
     np.testing.assert_allclose(run(Quantization(step_dn=1.0), signal, place(mode="expected"))[0], [0, 0.4, 501.3, 1023])
 
 
-def test_uneven_codes_have_uneven_counts(place):
-    ramp = np.linspace(100, 900, N).reshape(1, 256, 256)
-    effect = Quantization(step_dn=1.0, dnl_dn=0.1)
-    even = np.bincount(run(Quantization(step_dn=1.0), Signal.of(ramp, "dn"), place(effect)).astype(int).ravel())[110:890]
-    uneven = np.bincount(run(effect, Signal.of(ramp, "dn"), place(effect)).astype(int).ravel())[110:890]
+def test_uneven_codes_have_uneven_counts_and_both_ends(place):
+    ramp = Signal.of(np.linspace(100, 900, N).reshape(1, 256, 256), "dn")
+    effect, converter = UnevenCodes(sigma=0.1), Quantization(step_dn=1.0)
+    even = np.bincount(run(converter, ramp, place()).astype(int).ravel())[110:890]
+    warped = Signal.of(run(effect, ramp, place(effect))[None], "dn")
+    uneven = np.bincount(run(converter, warped, place()).astype(int).ravel())[110:890]
     assert even.std() < 0.01 * even.mean() + 0.5
-    assert uneven.std() > 0.05 * uneven.mean()
+    assert uneven.std() / uneven.mean() == pytest.approx(0.1, rel=0.1)
+    ends = Signal.of(np.array([[[-0.5, 1023.5, -3.0, 1030.0]]]), "dn")
+    np.testing.assert_allclose(run(effect, ends, place(effect))[0], [-0.5, 1023.5, -3.0, 1030.0], atol=1e-6)
+    np.testing.assert_array_equal(run(effect, ramp, place(effect, mode="expected")), ramp.values[0])
+
+
+def test_a_difference_leaves_out_what_one_converter_does_to_a_level(place):
+    """Sixteen codes together are as wide as they should be: a level's mean and gain are those of equal codes."""
+    ramp = Signal.of(np.linspace(100, 900, N).reshape(1, 256, 256), "dn")
+    effect = UnevenCodes(sigma=0.1, repeated=0.1)
+    shift = run(effect, ramp, place(effect, mode="derivative")) - ramp.values[0]
+    assert 0.05 < shift.std() < 0.5
+    assert abs(shift.mean()) < 0.05
+    assert np.abs(shift).max() < 2
