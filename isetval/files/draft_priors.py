@@ -15,7 +15,8 @@ from isetval.files.light_levels import LitSetup
 from isetval.files.shot_grouping import ShotGroup
 
 LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady
-NARROW_QE = 0.5  # ours: data sheets draw a filter's curve for its middle, not for its foot
+NARROW_QE = 1.0  # ours, a factor of two: data sheets draw a filter's curve for its middle, not for its foot
+LAMP = 0.3  # ours, per 100 nm: what lamps behind a band-pass filter differ by, where it leaks and inside its band
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
 BOW_SHARE = 0.25  # of the tilt's width: ratios of black bodies 2700 to 3000 K and 5500 to 6500 K bend by .14 to .26 of their tilt
@@ -87,6 +88,10 @@ def light_priors(
         for color in ("red", "green", "blue"):
             words = f"CHECK: {light.name}: what no camera model knows of its filters in so narrow a band"
             out.append(DraftPrior(f"qe_{color}", NARROW_QE, "relative", "campaign", words, (), (light.name,)))
+        if light.file:
+            words = f"CHECK: {light.name}: a filter's table says nothing of the lamp behind it, whose light it leaks elsewhere"
+            out.append(DraftPrior("spectrum_tilt", LAMP, "relative per 100 nm", "campaign", words, (), (light.name,)))
+            out.append(DraftPrior("spectrum_bow", LAMP, "relative per (100 nm)^2", "campaign", words, (), (light.name,)))
     for light in (light for light in lights if not light.narrow):
         width = 0.2 if light.column == "E" else 0.05
         words = f"CHECK: {light.name} is taken for {light.column}; .02 once its spectrum is measured"

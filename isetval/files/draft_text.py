@@ -115,7 +115,7 @@ def _light(light: DraftLight) -> list[str]:
     if light.band_nm is not None:
         entries = {"peak_nm": light.band_nm[0], "width_nm": light.band_nm[1]}
     if light.within_nm is not None:
-        known += "; a filter's table far from its band is the noise of a ratio, so it is cut: without within_nm it is taken whole"
+        known += "; beyond within_nm its table scatters by more than half of its values, so that it is cut there"
         entries["within_nm"] = list(light.within_nm)
     entries["scale"] = float(f"{light.scale:.6g}")
     return [*comment(f"CHECK: {light.name}: {known}"), *_table(f"[light.{_key(light.name)}]", entries), ""]

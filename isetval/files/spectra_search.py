@@ -18,6 +18,8 @@ NEAR_NM = 15.0  # ours: filters are sold by a nominal wavelength that their peak
 BROADEST_NM = 40.0  # of a band-pass filter; a broader light is no band
 MOST_BYTES = 50_000_000  # a table of spectra has thousands of numbers; a larger CSV is something else
 VISIBLE_NM = (380.0, 780.0)
+PIECE_NM = 20.0  # in which a table's scatter is judged: two widths of a narrow filter
+NOISE = 0.5  # of the mean: half a value's own size says nothing of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +64,27 @@ def find_spectra(folder: Path) -> FolderSpectra:
 
 
 def band_limits(spectrum: Spectrum) -> tuple[float, float] | None:
-    """Wavelengths three widths off the peak of a band-pass filter, between which its table counts; None for a broad light."""
+    """Wavelengths about the peak of a band-pass filter between which its table is no noise; None for a broad light.
+
+    A filter's leak far from its band is light as well.  Of a table's ends those pieces of 20 nm are cut whose values scatter
+    from one to the next by more than half of their mean: there it is the ratio of two darknesses.
+    """
     seen = (spectrum.wavelength_nm >= VISIBLE_NM[0]) & (spectrum.wavelength_nm <= VISIBLE_NM[1])
     grid, values = spectrum.wavelength_nm[seen], spectrum.values[seen]
     peak = int(np.argmax(values))
     below = np.flatnonzero(values < values[peak] / 2)
     left, right = below[below < peak], below[below > peak]
-    if not left.size or not right.size:
+    if not left.size or not right.size or float(grid[right[0]] - grid[left[-1]]) > BROADEST_NM:
         return None
-    width = float(grid[right[0]] - grid[left[-1]])
-    if width > BROADEST_NM:
-        return None
-    return (round(float(grid[peak]) - 3 * width, 1), round(float(grid[peak]) + 3 * width, 1))
+    pieces = np.floor((grid - grid[peak]) / PIECE_NM).astype(int)
+    kept = [k for k in np.unique(pieces) if k in (-1, 0) or not _is_noise(values[pieces == k])]
+    inside = grid[(pieces >= kept[0]) & (pieces <= kept[-1])]
+    return round(float(inside[0]), 1), round(float(inside[-1]), 1)
+
+
+def _is_noise(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
+    """Whether values scatter from one to the next by more than `NOISE` of their mean."""
+    return values.size > 2 and float(np.std(np.diff(values))) / np.sqrt(2) > NOISE * abs(float(values.mean()))
 
 
 def chart_reflectances(spectra: FolderSpectra, names: Sequence[str]) -> list[str] | None:

@@ -12,7 +12,7 @@ from isetval.app.cli import main
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum, narrow_band
 from isetval.core.toml import data_folder
-from isetval.files.spectra_search import find_spectra
+from isetval.files.spectra_search import band_limits, find_spectra
 
 SIDECAR = r"""
 cfa = "GBRG"
@@ -132,8 +132,21 @@ def test_lights_are_the_filters_of_the_folder_or_a_band_at_the_stated_wavelength
     above = band.wavelength_nm[band.values > band.values.max() / 2]
     assert np.ptp(above) == pytest.approx(10, abs=0.9)  # steps of a tenth of a sigma at both ends
     widths = {n.parameter: n.sigma for n in parts[20.7].nuisances if n.lights == ("550nm",)}
-    assert widths == {"qe_red": 0.5, "qe_green": 0.5, "qe_blue": 0.5}
+    assert widths == {"qe_red": 1.0, "qe_green": 1.0, "qe_blue": 1.0}
+    behind = {n.parameter for n in parts[3.45].nuisances if n.lights == ("450nm",)}
+    assert {"spectrum_tilt", "spectrum_bow"} < behind  # the lamp behind a measured filter is not known
     assert set(find_spectra(folder).bands) == {442.0, 647.0}
+
+
+def test_what_a_filter_leaks_far_from_its_band_is_light_and_noise_at_the_ends_is_none():
+    rng, nm = np.random.default_rng(4), np.arange(380.0, 781.0)
+    filter_curve = 0.6 * np.exp(-(((nm - 550) / 5) ** 2)) + 0.001
+    assert band_limits(Spectrum(nm, filter_curve)) == (380.0, 780.0)
+    ends = np.where((nm < 430) | (nm > 700), 0.05 * rng.standard_normal(nm.size), 0.0)
+    low, high = band_limits(Spectrum(nm, filter_curve + ends))
+    assert low == pytest.approx(430, abs=20)  # a piece
+    assert high == pytest.approx(700, abs=20)
+    assert band_limits(Spectrum(nm, np.ones(nm.size))) is None
 
 
 def test_a_sheet_of_disks_is_a_chart_of_paper_and_ink_seen_alike_in_all_exposures(lab):
