@@ -31,6 +31,8 @@ Float = NDArray[np.float64]
 FRONT = ("scene", "optics", "pixel")
 FIELD_PX = 32  # pixels along the longer side of the coarse full field: a mean of r^2 over it errs by 1/(12 FIELD_PX^2), 1e-4
 BAND_BUDGET = 6_000_000  # spectral samples held at once: 48 MB, a strip of 20 rows of a 12 MP sensor at 73 bands
+LEAK_SHARE = 0.05  # of a light's maximum: below it lies what a band-pass filter leaks
+NARROW_SHARE = 0.25  # of the bands: light that fills more is no narrow band
 CACHE_BYTES = 600_000_000  # six full 12 MP frames, or all windows of a laboratory's plan at twenty points of a fit
 
 
@@ -176,6 +178,8 @@ def _run_front(
 ) -> Signal:
     scene = _scene(model, effects, setup, context)
     signal = _radiance(scene, context, how)
+    if setup.shot.levels_only:  # how a resampled picture was blurred is not known, and means alone are measured in it
+        signal = signal.with_values(signal.values)
     for i, (effect, nth) in enumerate(zip(effects, occurrences(effects), strict=True)):
         if effect.stage != "scene":
             own = context.for_effect(effect.name, nth)
@@ -190,11 +194,29 @@ def build_signal(model: Camera, setup: ShotSetup) -> Signal:
 
 
 def _scene(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, context: Context) -> Scene:
-    scene = build_scene(setup.shot, setup.light, model.wavelength_nm, context)
+    scene = build_scene(setup.shot, setup.light, _bands(model, setup), context)
     for effect in effects:
         if effect.stage == "scene":
             scene = effect.apply_scene(scene, context)
     return scene if isinstance(scene.target, RenderedTarget) else _lit(scene)
+
+
+def _bands(model: Camera, setup: ShotSetup) -> Float:
+    """The model's wavelengths; of resampled pictures in narrow light those of its band, and every fourth where a filter leaks.
+
+    Radiances are means over the hat functions of whatever grid, so that the leak's light is kept; the camera's curves bend by
+    some percent over four steps, of the percent that leaks.  A rendered scene keeps the grid of its renderer.
+    """
+    grid = model.wavelength_nm
+    if setup.light is None or not setup.shot.levels_only or isinstance(setup.shot.target, RenderedTarget):
+        return grid
+    white = setup.light.radiance.band_means(grid)
+    strong = white > LEAK_SHARE * white.max()
+    if strong.mean() > NARROW_SHARE or np.mean(white > 0) < 2 * NARROW_SHARE:  # a band that does not leak is narrow as it is
+        return grid
+    kept = strong | np.roll(strong, 1) | np.roll(strong, -1)
+    kept[::4] = kept[-1] = True
+    return np.asarray(grid[kept])
 
 
 def _lit(scene: Scene) -> Scene:

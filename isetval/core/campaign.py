@@ -194,7 +194,7 @@ class Shot:
     def seen(self) -> str:
         """SHA-256 of all that decides what is seen in a given light (not frames, files or name)."""
         known = (self.role, self.exposure, self.light_level, self.rotation_deg, self.window, self.target, self.focus_um)
-        return content_hash((known, self.distance_m))
+        return content_hash((known, self.distance_m, self.levels_only))
 
     @cached_property
     def of_one_frame(self) -> Shot:

@@ -6,7 +6,7 @@ import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,11 @@ class Spectrum:
         object.__setattr__(self, "wavelength_nm", grid)
         object.__setattr__(self, "values", values)
 
+    @cached_property
+    def content(self) -> tuple[bytes, bytes]:
+        """Both arrays as bytes: the key of what is computed from them."""
+        return self.wavelength_nm.tobytes(), self.values.tobytes()
+
     @classmethod
     def flat(cls, value: float) -> Spectrum:
         """The same value at every wavelength."""
@@ -58,7 +63,7 @@ class Spectrum:
         grid = np.asarray(wavelength_nm, float)
         if grid.size < 2 or self.wavelength_nm.size < 2:
             return self.at(grid)
-        return _band_means(self.wavelength_nm.tobytes(), self.values.tobytes(), grid.tobytes())
+        return _band_means(*self.content, grid.tobytes())
 
 
 @lru_cache(maxsize=1024)
@@ -69,6 +74,20 @@ def _band_means(table_nm: bytes, values: bytes, grid_nm: bytes) -> Float:
     fine = fine[(fine >= grid[0]) & (fine <= grid[-1])]
     hats = np.array([np.interp(fine, grid, unit) for unit in np.eye(grid.size)])
     means = np.trapezoid(hats * np.interp(fine, table, known), fine, axis=1) / np.trapezoid(hats, fine, axis=1)
+    means.flags.writeable = False
+    return np.asarray(means)
+
+
+@lru_cache(maxsize=4096)
+def _weighted_means(light: tuple[bytes, bytes], spectrum: tuple[bytes, bytes], grid_nm: bytes) -> Float:
+    """Band means of a spectrum with a light as weight, read-only: the same tables are asked for at every point of a fit."""
+    wavelength_nm = np.frombuffer(grid_nm)
+    weights, values = (Spectrum(*map(np.frombuffer, table)) for table in (light, spectrum))
+    grid = np.union1d(weights.wavelength_nm, values.wavelength_nm)
+    weight = weights.at(grid)
+    total = Spectrum(grid, weight).band_means(wavelength_nm)
+    part = Spectrum(grid, weight * values.at(grid)).band_means(wavelength_nm)
+    means = np.where(total > 0, part / np.where(total > 0, total, 1.0), values.at(wavelength_nm))
     means.flags.writeable = False
     return np.asarray(means)
 
@@ -289,11 +308,7 @@ class Scene:
         """Band means (bands,) of a reflectance, weighted with the light: white times it is the exact radiance."""
         if self.light is None or self.light.wavelength_nm.size < 2 or spectrum.wavelength_nm.size < 2:
             return spectrum.band_means(self.wavelength_nm)
-        grid = np.union1d(self.light.wavelength_nm, spectrum.wavelength_nm)
-        light = self.light.at(grid)
-        total = Spectrum(grid, light).band_means(self.wavelength_nm)
-        part = Spectrum(grid, light * spectrum.at(grid)).band_means(self.wavelength_nm)
-        return np.asarray(np.where(total > 0, part / np.where(total > 0, total, 1.0), spectrum.at(self.wavelength_nm)))
+        return _weighted_means(self.light.content, spectrum.content, self.wavelength_nm.tobytes())
 
     def with_white(self, factor: Any) -> Scene:
         """The scene with its light times ``factor`` (scalar or (bands,))."""

@@ -21,6 +21,7 @@ MAX_ITERATIONS = 20  # Gauss-Newton steps: a bound on cost; a fit that ends ther
 MAX_FAILURES = 2  # steps in a row that do not help, each a sixth as long: a third would be below the fit's own noise
 RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
+SCALED = 0.1  # change of a relative parameter (light, efficiency) that scales the derivatives of all others by as much
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
 ALIKE = 0.995  # cosine above which an effect imitates focus: finite steps of the two differ by about a percent
 CONVERGED = 0.02  # in chi2: a seventh of a sigma in one parameter, below the 1/16 that simulation adds
@@ -88,8 +89,8 @@ def jacobian(
     """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
 
     Columns of nuisances are remembered, and taken again where the problem bends: when one that is `curved`
-    and shares rows with them has moved by more than ``stale`` of its prior sigmas.  With ``both_sides``
-    columns of effects are central differences: a variance goes as the square of its parameter.
+    and shares rows with them has moved by more than ``stale`` of its prior sigmas, or a relative one by a tenth.  With
+    ``both_sides`` columns of effects are central differences: a variance goes as the square of its parameter.
     """
     moved = _moved(problem, point, free, stale)
     wanted = [f for f in free if not f.is_nuisance or f.label not in problem.columns or f.label in moved]
@@ -106,15 +107,14 @@ def jacobian(
 def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float) -> set[str]:
     """Nuisances whose remembered column no longer holds at a point."""
     known = [(f.label, problem.columns[f.label]) for f in free if f.label in problem.columns]
-    curved = [f for f in free if f.label in problem.columns and f.curved]
+    curved = {f.label: stale * f.reach for f in free if f.curved}
+    limits = {f.label: SCALED for f in free if f.unit == "relative"} | curved
     rows = {key: column.slope != 0 for key, column in known}
     out = set()
     for key, column in known:
-        for f in curved:
-            distance = abs(point.values.get(f.label, 0.0) - column.taken_at.get(f.label, 0.0))
-            if distance > stale * f.reach and (f.label == key or np.any(rows[f.label] & rows[key])):
-                out.add(key)
-                break
+        moved = (k for k in rows if abs(point.values.get(k, 0.0) - column.taken_at.get(k, 0.0)) > limits.get(k, np.inf))
+        if any(k in curved if k == key else np.any(rows[k] & rows[key]) for k in moved):
+            out.add(key)
     return out
 
 

@@ -119,6 +119,7 @@ class Predictor:
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
         self._chosen = {name: content_hash(choices) for name, choices in self._choices.items()}
+        self._through = {shot.name: _with_clipped(shot, self._choices[shot.name]) for shot in self.shots}
         self._regions: dict[str, tuple[Roi, ...]] = {}
         self._memo = NumberStore(repr([shot.name for shot in self.shots]))
         self._runner = Runner(jobs, progress)
@@ -157,8 +158,9 @@ class Predictor:
             self._regions[shot.name] = looked_at(shot, camera.sensor)
         if self._regions[shot.name]:
             setup = replace(setup, regions=self._regions[shot.name])
-        mode: Mode = "capture" if not derivative else "expected" if how.noise_free else "derivative"
-        choices, chosen = self._choices[shot.name], self._chosen[shot.name]
+        mean_only = how.noise_free or shot.levels_only  # a resampled picture's noise is not its sensor's
+        mode: Mode = "capture" if not derivative else "expected" if mean_only else "derivative"
+        choices, chosen = self._through[shot.name] if derivative else (self._choices[shot.name], self._chosen[shot.name])
         if shot.given is not None:
             choices = with_systematic(choices, self.plan, shot, values)
             chosen = content_hash(choices)
@@ -276,6 +278,15 @@ def _by_shot(tasks: Mapping[str, ShotPart]) -> Iterator[list[str]]:
 
 def _of_shot(choices: Mapping[str, Any], shot: str) -> dict[str, Any]:
     return {key: made for key, made in choices.items() if key.startswith(f"{shot}/")}
+
+
+def _with_clipped(shot: Shot, choices: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
+    """Choices and their hash for differences: patches that clip at a point keep their rows, which else would jump."""
+    if shot.role not in ("chart", "scene") or shot.given is not None:
+        return choices, content_hash(choices)
+    key = f"{shot.name}/patches"
+    through = {**choices, key: {**choices.get(key, {}), "with_clipped": True}}
+    return through, content_hash(through)
 
 
 def _joint_differences(table: MetricTable, shot: str) -> Differences:

@@ -216,7 +216,7 @@ def measure_shots(
     given = (choices or {}).get(f"{shot.name}/given")
     if given is not None:
         return [_blocks_or_none(shot, captures, choices) for captures in many]
-    for module in analyses(shot.role):
+    for module in _modules(shot):
         own = (choices or {}).get(f"{shot.name}/{module.__name__.rsplit('.', 1)[-1]}", {})
         several = getattr(module, "analyze_many", None)
         left = [i for i, blocks in enumerate(out) if blocks is not None]
@@ -225,8 +225,8 @@ def measure_shots(
             blocks = out[i]
             if isinstance(block, InputError):
                 out[i] = None
-            elif blocks is not None and block.metrics:
-                blocks.append(block)
+            elif blocks is not None and (kept := _kept(shot, block)).metrics:
+                blocks.append(kept)
     return [blocks or [] for blocks in out]
 
 

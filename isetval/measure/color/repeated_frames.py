@@ -92,8 +92,14 @@ def patches_over_frames(captures: Iterable[Capture], boxes: Sequence[RoiLike] | 
     table = np.asarray(boxes, dtype=np.int64).reshape(-1, 4)
     found: list[PatchRows] = []
     sums: dict[str, list[PatchSums]] = {}
+    first = None
     for capture in captures:
         found.append(chart_patches_at(capture, table))
+        if first is None:  # one frame alone has nothing to be summed for
+            first = capture
+            continue
+        if len(found) == 2:
+            _add_patches(sums, first, found[0], table)
         _add_patches(sums, capture, found[-1], table)
     if not found:
         raise InputError("no captures were given; patches need at least one frame")
