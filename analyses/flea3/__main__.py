@@ -25,6 +25,7 @@ def run(data: Path, work: Path, *, quick: bool, diagnose: bool = False, say: Any
     out: dict[str, Any] = {"linearity": {name: levels.linearity(r) for name, r in rows.items()}}
     name = "charts, second visit"
     out["spectral"] = levels.spectral(rows[name], out["linearity"][name], lab.charts, model.sampled_as(lab.charts.sensor))
+    out["glare"] = levels.glare(rows[name], out["linearity"][name], lab.charts)
     out["darks"] = {"first visit": darks.dark_pixels(lab.disks), "second visit (shrunk)": darks.dark_pixels(lab.charts)}
     out["lens"] = lens.color_errors(lab.disks)
     if not quick:

@@ -226,3 +226,41 @@ def composition(rate: Float, sigma: Float, reflectance: list[Spectrum], place: F
         "tilt_percent": [100 * float(solved[1] / solved[0]), 100 * float(solved[2] / solved[0])],
         "patches": int(use.sum()),
     }
+
+
+NEUTRALS = ("white", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black")
+KNOWN = 0.05  # relative, of a patch's reflectance in its light: patches scatter by 4 to 9 % about a smooth light
+
+
+# %% Light that falls on no patch, by the row of greys: what is left at reflectance 0
+def glare(rows: Rows, line: dict[str, object], campaign: Campaign) -> list[dict[str, object]]:
+    """Glare in percent of white by band, of its strongest channel, with sigma.
+
+    rate = (a + b x) reflectance + glare over the six greys, x along their row; every rate is known to 5 %, as the other
+    patches scatter, and the result is widened where the greys scatter by more.
+    """
+    rate, _ = rates(rows, line)
+    target = next(s.target for s in campaign.shots if isinstance(s.target, ChartTarget))
+    assert isinstance(target, ChartTarget)
+    patches = [next(p for p in target.patches if p.name == name) for name in NEUTRALS]
+    columns = [rows.patches.index(name) for name in NEUTRALS]
+    x = np.linspace(-1, 1, len(NEUTRALS))
+    out = []
+    for i, light in enumerate(rows.lights):
+        band = campaign.lights[light].radiance
+        peak = float(band.wavelength_nm[np.argmax(band.values)])
+        reflectance = np.array([float(p.reflectance.at(peak)) for p in patches])
+        levels = rate[i][:, columns]
+        best = int(np.argmax(np.nan_to_num(levels[:, 0])))
+        seen = levels[best]
+        if not np.isfinite(seen).all():
+            continue
+        design = np.stack([reflectance, reflectance * x, np.ones(x.size)], axis=1) / (KNOWN * seen)[:, None]
+        found, cost, *_ = np.linalg.lstsq(design, np.full(x.size, 1 / KNOWN), rcond=None)
+        wider = max(1.0, float(cost[0]) / (x.size - 3)) if cost.size else 1.0
+        sigma = np.sqrt(np.linalg.inv(design.T @ design)[2, 2] * wider)
+        white = found[0] * reflectance[0]
+        out.append(
+            {"light": light, "channel": rows.channels[best], "percent": 100 * found[2] / white, "sigma": 100 * sigma / white}
+        )
+    return out

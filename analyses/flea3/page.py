@@ -200,7 +200,7 @@ def _lens(result: dict[str, Any]) -> list[str]:
         for b in lens["bands"]:
             right.errorbar(b["frequency_cy_px"], b["mtf"], b["mtf_sigma"], lw=1.2, label=b["light"])
         right.set(
-            xlabel="frequency along the edge's normal / cycles per pixel",
+            xlabel="frequency / cycles per pixel",
             ylabel="SFR",
             ylim=(0, 1.05),
             title="measured: disks' edges",
