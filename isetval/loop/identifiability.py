@@ -110,7 +110,8 @@ def identify(
         problem = prepared.problem
         fitted = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
         frame = make_frame(fitted)
-        made = signatures(problem, Point(model), candidates_for(model), project=frame.basis[: frame.rows])
+        own = [c for c in candidates_for(model) if c.name == c.klass]  # of several forms of an effect the first speaks for it
+        made = signatures(problem, Point(model), own, project=frame.basis[: frame.rows])
         white = {s.candidate.name: problem.whitened(s.columns) for s in made}
         rows, hidden = [], []
         for s in made:
