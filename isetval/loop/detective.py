@@ -122,7 +122,8 @@ def diagnose(
 
 def _unfinished(model: CameraModel, watch: Deadline) -> Diagnosis:
     words = (f"any effect: stopped after {watch.limit_s:g} s while {watch.words}",)
-    return Diagnosis("unfinished", (), (), (), (), None, (), {}, model, model, not_looked_at=words)
+    gate = {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None, "reason": "the time was over before"}
+    return Diagnosis("unfinished", (), (), (), (), None, (), gate, model, model, not_looked_at=words)
 
 
 def _unfitted(case: Investigation) -> list[str]:

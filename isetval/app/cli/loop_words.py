@@ -20,7 +20,8 @@ CHANCES = {"nothing": "nothing is missing", "unknown": "something is at work tha
 def gate_line(gate: Mapping[str, Any]) -> str:
     """The repeat gate in one line."""
     if not gate.get("run"):
-        return "repeat gate: not run, the campaign declares no repeats (repeat_of); error bars are taken as stated"
+        reason = gate.get("reason") or "the campaign declares no repeats (repeat_of); error bars are taken as stated"
+        return f"repeat gate: not run, {reason}"
     words = "failed" if gate["failed"] else "passed"
     return (
         f"repeat gate: {words}; mean-square z of {gate['n']} repeated metrics {gate['mean_square_z']:.3f} "
