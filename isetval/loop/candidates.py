@@ -185,7 +185,7 @@ def _steps(candidate: Candidate) -> Float:
     steps = candidate.tau.copy()
     for i, (p, value) in enumerate(zip(candidate.parameters, candidate.nominal, strict=True)):
         if value + steps[i] > p.high:
-            steps[i] = -steps[i] if value - steps[i] >= p.low else (p.high - value) / 2
+            steps[i] = -steps[i] if value - steps[i] >= p.low else (p.high - value) / 2 or (p.low - value) / 2
     return steps
 
 
