@@ -14,7 +14,8 @@ from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.memory import give_back_freed
 
-HELD_PIXELS = 90_000_000  # 180 MB: a worker with its maps and libraries stays below 600; longer ones are decoded frame by frame
+HELD_PIXELS = 400_000_000  # 800 MB of frames: what a shot may keep in memory; longer series are decoded frame by frame
+AHEAD_PIXELS = 90_000_000  # 180 MB of frames kept for the shots to come: a worker with its maps and libraries stays below 600 MB
 AGAIN_PIXELS = 30_000_000  # 60 MB of frames beyond that were decoded last: a pair of 12 MP is looked at several times in a row
 Reader = Callable[[str, str], Capture]
 """(shot name, file name) -> the capture."""
@@ -122,7 +123,7 @@ class FileCaptures:
         """One frame before its shot is read; kept for that, within the bound of memory."""
         capture = self._tried(name, file)
         held = sum(c.mosaic.size for c in self._record.ahead.values())
-        if capture is not None and held + capture.mosaic.size <= HELD_PIXELS:
+        if capture is not None and held + capture.mosaic.size <= AHEAD_PIXELS:
             self._record.ahead[file] = capture
         return capture
 

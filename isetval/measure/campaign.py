@@ -113,9 +113,11 @@ def measure_campaign(
                 about += shot_summaries(shot, captures, notes, patches=patches)
             if summaries and wanted(shot) and not shot.levels_only:
                 held += sum(capture.mosaic.size for capture in captures) if held < HELD_PIXELS else 0
-                frames[shot.name] = captures if held <= HELD_PIXELS else campaign.captures.later(shot.name)
+                last = shot is campaign.shots[-1]  # nothing is decoded any more before the summaries look at it
+                frames[shot.name] = captures if held <= HELD_PIXELS or last else campaign.captures.later(shot.name)
         elif not given.metrics:
             notes.append(f"shot {shot.name} left out: {_why_none(campaign, shot)}")
+        captures = ()  # let go before the next shot is decoded
         if progress is not None:
             progress(shot.name, i + 1, len(campaign.shots))
     if not blocks and not about:

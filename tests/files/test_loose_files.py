@@ -204,7 +204,8 @@ def test_series_beyond_memory_are_decoded_frame_by_frame(tmp_path, monkeypatch):
     rng = np.random.default_rng(13)
     paths = [write(tmp_path / f"f{i}.dng", shoot(rng, 900)) for i in range(6)]
     whole = measure_files(paths, read=file_reader(), role="flat")
-    monkeypatch.setattr(module, "HELD_PIXELS", 2 * 80 * 80)
+    for name in ("HELD_PIXELS", "AHEAD_PIXELS"):
+        monkeypatch.setattr(module, name, 2 * 80 * 80)
     monkeypatch.setattr(module, "AGAIN_PIXELS", 80 * 80)
     alive = measure_files(paths, read=file_reader(), role="flat")
     assert [m for _, m in alive.metrics] == [m for _, m in whole.metrics]

@@ -43,6 +43,7 @@ noisy as well; noisy pixels are partly chance."""
 
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
     """Statistics of all frames of one dark or flat shot; nothing is chosen from the data."""
+    captures = tuple(captures)  # a long series decodes a file at every access
     statistics = (dark_statistics if shot.role == "dark" else flat_statistics)(captures)
     conditions = shot_conditions(shot, captures[0].sensor)
     rows: list[Metric] = []

@@ -83,6 +83,7 @@ def dark_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, 
 
 @one_blas_thread()
 def _statistics(captures: Sequence[Capture], roi: RoiLike | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
+    captures = tuple(captures)  # a long series decodes a file at every access
     check_frames(captures)
     check_region(captures[0], roi)
     several = len(captures) > 1
