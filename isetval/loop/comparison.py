@@ -219,22 +219,26 @@ def compare(
     twice = [name for name, count in Counter(m.name for m in models).items() if count > 1]
     if twice:
         raise InputError(f"two models are called {twice[0]!r}; give each its own name in its file")
-    with prepare(models[0], campaign, jobs=jobs, say=Teller.of(say, progress)) as prepared:
-        return comparison_of(prepared, models, regions=regions)
+    teller = Teller.of(say, progress)
+    with prepare(models[0], campaign, jobs=jobs, say=teller) as prepared:
+        return comparison_of(prepared, models, regions=regions, say=teller)
 
 
-def comparison_of(prepared: Prepared, models: Sequence[CameraModel], *, regions: bool = False) -> Comparison:
+def comparison_of(
+    prepared: Prepared, models: Sequence[CameraModel], *, regions: bool = False, say: Say | None = None
+) -> Comparison:
     """The comparison of a campaign that is already measured; ``regions`` as in `compare`."""
     import pandas as pd
 
     frames, nuisances = [], {}
     budget: list[BudgetRow] = []
+    teller = Teller.of(say)
     for model in models:
         fitted = prepared.fit_nuisances(model)
         frames.append(_rows(prepared, model, fitted))
         nuisances[model.name] = {f.label: fitted.value(f.label) for f in fitted.free}
         problem = prepared.problem_for(model)
-        moved = region_change(problem, fitted, prepared.campaign) if regions else None
+        moved = region_change(problem, fitted, prepared.campaign, teller) if regions else None
         budget += error_budget(prepared, problem, fitted, moved)
     return Comparison(
         table=pd.concat(frames, ignore_index=True),

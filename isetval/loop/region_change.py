@@ -22,7 +22,8 @@ from isetval.loop.fit import Fit
 from isetval.loop.given_side import shoot
 from isetval.loop.prediction import BASE_SEED
 from isetval.loop.problem import Problem
-from isetval.loop.shot_task import Rows, ShotPart
+from isetval.loop.shot_task import HELD_PIXELS, Rows, ShotPart
+from isetval.loop.telling import Teller
 from isetval.measure.campaign import measure_shot, measure_shots
 
 Float = NDArray[np.float64]
@@ -41,7 +42,7 @@ class RegionChange:
     noise: Float
 
 
-def region_change(problem: Problem, fitted: Fit, campaign: Campaign) -> RegionChange:
+def region_change(problem: Problem, fitted: Fit, campaign: Campaign, say: Teller | None = None) -> RegionChange:
     """Measure and simulate on smaller regions.
 
     Parameters
@@ -50,6 +51,8 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign) -> RegionCh
         A campaign, what a model predicts for it, and the nuisances found under it.
     campaign : Campaign
         With its captures.
+    say : Teller, optional
+        Told shot by shot.
 
     Notes
     -----
@@ -58,6 +61,8 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign) -> RegionCh
     """
     predictor = problem.predictor
     size = len(predictor.keys)
+    teller = say or Teller()
+    teller(f"measuring smaller regions, as {problem.nominal.name} and the captures have them")
     change, noise = np.full(size, np.nan), np.full(size, np.nan)
     replicas = [predictor.parts(fitted.point, SEED + r, derivative=False) for r in range(REPLICAS)]
     for number, shot in enumerate(predictor.shots):
@@ -70,6 +75,7 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign) -> RegionCh
         simulated = _simulated([parts[number] for parts in replicas], inner, frames, rows, problem.measured[own])
         if simulated is not None:
             change[own], noise[own] = simulated
+        teller.counted(number + 1, len(predictor.shots))
     keep = problem.keep
     variance = np.diag(problem.covariance)[keep]
     return RegionChange(change[keep] / np.sqrt(variance), noise[keep] / variance)
@@ -84,10 +90,14 @@ def _simulated(
     except InputError:
         return None
     choices = {f"{inner.name}/{name}": dict(block.choices) for name, block in found if block.choices}
-    whole = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices) for t in tasks]
-    before = measure_shots(tasks[0].setup.shot, whole, choices=tasks[0].choices)
-    after = measure_shots(inner, [_cut(own, inner) for own in whole], choices=choices)
-    moved = np.array([rows.values(b) - rows.values(a) for a, b in zip(before, after, strict=True)])
+    differences = []
+    together = max(1, HELD_PIXELS // (tasks[0].pixels * tasks[0].setup.shot.frames))
+    for i in range(0, len(tasks), together):
+        whole = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices) for t in tasks[i : i + together]]
+        before = measure_shots(tasks[0].setup.shot, whole, choices=tasks[0].choices)
+        after = measure_shots(inner, [_cut(own, inner) for own in whole], choices=choices)
+        differences += [rows.values(b) - rows.values(a) for a, b in zip(before, after, strict=True)]
+    moved = np.array(differences)
     change = rows.values([block for _, block in found]) - measured - moved.mean(axis=0)
     return change, moved.var(axis=0, ddof=1) * (1 + 1 / len(moved))
 
