@@ -16,28 +16,29 @@ FLAGS = ("--headless", "--no-sandbox", "--disable-gpu")
 INSPECT = (Path(__file__).parent / "inspect_page.js").read_text(encoding="utf-8")
 
 
-def faults(page, folder, *, width=1280, dark=False):
-    """What is wrong with a page of text at a width, as lists: ``wide``, ``cut``, ``empty``, ``over`` (labels on labels),
-    ``faint`` (text of less contrast than 4.5, WCAG 2.2 level AA).
+def faults(page, folder, *, widths=(1280,), dark=False):
+    """What is wrong with a page of text, by width: what is ``wide``, ``cut``, ``empty``, ``over`` (labels on labels), or ``faint``
+    (text of less contrast than 4.5, WCAG 2.2 level AA); nothing for a width at which nothing is.
 
-    The page is laid out in a frame: the windows of headless Chromium are never narrower than 500 pixels.
+    The page is laid out in frames: the windows of headless Chromium are never narrower than 500 pixels.
     """
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine")
-    told = "document.title = JSON.stringify(inspected(document.getElementById('f')));"
-    frame = f'<iframe id="f" style="border:0;width:{width}px;height:900px" srcdoc="{html.escape(page)}"></iframe>'
+    style = "border:0;display:block;height:900px;width:"
+    frames = "".join(f'<iframe style="{style}{width}px" srcdoc="{html.escape(page)}"></iframe>' for width in widths)
+    told = "document.title = JSON.stringify(Array.prototype.map.call(document.querySelectorAll('iframe'), inspected));"
     script = f'<script>{INSPECT}\nwindow.addEventListener("load", function () {{ {told} }});</script>'
-    whole = f'<!doctype html><meta charset="utf-8"><body style="margin:0">{frame}{script}'
-    path = folder / f"frame_{width}.html"
-    path.write_text(whole, encoding="utf-8")
+    path = folder / "frames.html"
+    path.write_text(f'<!doctype html><meta charset="utf-8"><body style="margin:0">{frames}{script}', encoding="utf-8")
     mode = ["--blink-settings=preferredColorScheme=0"] if dark else []
-    size = f"--window-size={max(width, 500)},900"
+    size = f"--window-size={max(*widths, 500)},900"
     command = [CHROMIUM, *FLAGS, *mode, f"--user-data-dir={folder / 'profile'}", size, "--dump-dom"]
     done = subprocess.run([*command, path.as_uri()], capture_output=True, text=True, timeout=180, check=False)
     title = done.stdout.partition("<title>")[2].partition("</title>")[0]
     if not title:
         pytest.skip("Chromium does not start on this machine")
-    return json.loads(html.unescape(title))
+    seen = json.loads(html.unescape(title))
+    return {width: wrong for width, one in zip(widths, seen, strict=True) if (wrong := {k: v for k, v in one.items() if v})}
 
 
 def blank_shares(page, folder):
