@@ -17,7 +17,7 @@ INSPECT = (Path(__file__).parent / "inspect_page.js").read_text(encoding="utf-8"
 
 
 def faults(page, folder, *, widths=(1280,), dark=False):
-    """What is wrong with a page of text, by width: what is ``wide``, ``cut``, ``empty``, ``over`` (labels on labels), or ``faint``
+    """What is wrong with a page of text, by width: ``wide``, ``cut``, ``empty``, ``over`` (labels on labels), ``faint``
     (text of less contrast than 4.5, WCAG 2.2 level AA); nothing for a width at which nothing is.
 
     The page is laid out in frames: the windows of headless Chromium are never narrower than 500 pixels.
