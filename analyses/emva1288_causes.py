@@ -50,7 +50,7 @@ def causes(campaign: Campaign) -> dict[str, object]:
     out["code_width_rms"] = [float(np.sqrt(np.mean(own[k] + repeated[k]))) for k in (even, ~even)]
     out["own_width_rms"], out["repeated_width_rms"] = float(np.sqrt(np.mean(own[even]))), float(np.sqrt(np.mean(repeated[even])))
     out["local_gain_percent"] = 100 * float(np.mean(local))
-    out["pattern_explains"] = pattern_explains(campaign)
+    out |= pattern(campaign)
     return out
 
 
@@ -81,19 +81,24 @@ def bend_of(light: Float, mean: Float) -> tuple[float, float]:
     return float(-found[1] / found[0]), float(np.sqrt(covariance[1, 1]) / found[0])
 
 
-def pattern_explains(campaign: Campaign) -> float:
-    """Share of the excess of the odd levels' counts that the pattern of 16 codes, learned on the even ones, takes away."""
+def pattern(campaign: Campaign) -> dict[str, object]:
+    """Widths of codes that are equal modulo 16, by even and odd levels.
+
+    And the share of the excess of the odd levels' counts that the even levels' pattern takes away.
+    """
     places = np.arange(65536) % REPEAT
     counts = [
         sum(np.bincount(c.mosaic.ravel(), minlength=65536) for c in campaign.captures[s.name]) for s in open_levels(campaign)
     ]
     seen = [(np.asarray(c, float), smooth_counts(np.asarray(c, float))) for c in counts]
-    learned = seen[::2]
-    hit = sum(np.bincount(places, np.where(g > 0, c, 0.0), REPEAT) for c, g in learned)
-    width = hit / sum(np.bincount(places, g, REPEAT) for _, g in learned)
+    widths = [
+        sum(np.bincount(places, np.where(g > 0, c, 0.0), REPEAT) for c, g in part)
+        / sum(np.bincount(places, g, REPEAT) for _, g in part)
+        for part in (seen[::2], seen[1::2])
+    ]
     before = sum(float(np.sum(((c - g) ** 2 - g)[g > 0])) for c, g in seen[1::2])
-    after = sum(float(np.sum(((c - g * width[places]) ** 2 - g)[g > 0])) for c, g in seen[1::2])
-    return 1 - after / before
+    after = sum(float(np.sum(((c - g * widths[0][places]) ** 2 - g)[g > 0])) for c, g in seen[1::2])
+    return {"pattern_explains": 1 - after / before, "pattern_even": widths[0].tolist(), "pattern_odd": widths[1].tolist()}
 
 
 def smooth_counts(counts: Float) -> Float:
@@ -113,13 +118,13 @@ def cause_lines(found: dict[str, object], published_gain: float) -> list[str]:
     chi2 = ", ".join(f"{name} {step['chi2']:.0f}" for name, step in steps.items())
     gains = "; ".join(f"{n}: {s['K'][0]:.4f} +- {s['K'][1]:.4f} DN/e-, {s['read_noise_e']:.2f} e-" for n, s in steps.items())  # type: ignore[index]
     return [
-        f"missing: nonlinearity and uneven_codes. The response bends by {bend:.2f} +- {bend_sigma:.2f} % at the brightest level "
+        f"Missing: nonlinearity and uneven_codes. The response bends by {bend:.2f} +- {bend_sigma:.2f} % at the brightest level "
         f"(means of the even levels), and the converter's codes differ in width by {learned:.4f} LSB rms (counts of the even "
-        f"levels; {judged:.4f} on the odd ones)",
-        f"the widths' pattern of 16 codes, learned on the even levels, takes away {explained:.0f} % of what the counts of the "
-        "odd levels scatter beyond Poisson: the same codes are wide at every level",
-        f"temporal variance of the {found['judged']} odd levels, nothing fitted to them, chi2: {chi2}; the last allows for a "
-        f"gain that scatters by {found['local_gain_percent']:.2f} % from level to level, as the widths of single codes say",
-        f"gain and read noise: {gains}. A straight line gives the published {published_gain} DN/e-, the mean slope; the gain "
-        "at small signals is higher by what the bend takes",
+        f"levels; {judged:.4f} on the odd ones).",
+        f"The widths' pattern of 16 codes, learned on the even levels, takes away {explained:.0f} % of what the counts of the "
+        "odd levels scatter beyond Poisson: the same codes are wide at every level.",
+        f"Temporal variance of the {found['judged']} odd levels, nothing fitted to them, chi2: {chi2}; the last allows for a "
+        f"gain that scatters by {found['local_gain_percent']:.2f} % from level to level, as the widths of single codes say.",
+        f"Gain and read noise: {gains}. A straight line gives the published {published_gain} DN/e-, the mean slope; the gain "
+        "at small signals is higher by what the bend takes.",
     ]

@@ -207,9 +207,9 @@ def lines(result: dict[str, object]) -> list[str]:
     test: dict[str, float] = result["local_gain_test"]  # type: ignore[assignment]
     out = cause_lines(result["causes"], PUBLISHED["K"][0])  # type: ignore[arg-type]
     out += [
-        f"variance against the contrast of the fixed pattern, level by level ({test['levels']} levels): "
+        f"Variance against the contrast of the fixed pattern, level by level ({test['levels']} levels): "
         f"slope {test['slope']:.2f} +- {test['slope_sigma']:.2f} (2 if the local gain is the cause), "
-        f"correlation {test['correlation']:.2f}"
+        f"correlation {test['correlation']:.2f}."
     ]
     held = [row for row in result.get("held_out", []) if row["family"] != "all"]  # type: ignore[attr-defined]
     if held:
@@ -248,7 +248,18 @@ def draw(result: dict[str, object], path: Path) -> None:
     gain: dict[str, list[float]] = result["local_gain"]  # type: ignore[assignment]
     level, v, vs = gain["level_dn"], gain["variance_percent"], gain["variance_sigma_percent"]
     c, cs = np.array(gain["contrast_percent"]), np.array(gain["contrast_sigma_percent"])
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained", width_ratios=(2, 1))
+    figure, panels = plt.subplots(2, 2, figsize=(10, 7), layout="constrained", width_ratios=(2, 1))
+    (left, right), (codes, steps) = panels
+    causes_found: dict[str, object] = result["causes"]  # type: ignore[assignment]
+    for k, (name, marks) in enumerate((("pattern_even", "o-"), ("pattern_odd", "s--"))):
+        words = ("even levels", "odd levels")[k]
+        codes.plot(range(16), causes_found[name], marks, ms=4, lw=1, mfc="none" if k else None, label=words)  # type: ignore[arg-type]
+    codes.set(xlabel="code modulo 16", ylabel="width of the codes / LSB", title="measured: counts of codes over a smooth curve")
+    codes.legend()
+    named: dict[str, dict[str, float]] = causes_found["steps"]  # type: ignore[assignment]
+    steps.barh([name.replace(", ", ",\n") for name in named], [step["chi2"] for step in named.values()])
+    steps.invert_yaxis()
+    steps.set(xlabel=f"chi2 of {causes_found['judged']} odd levels", title="model: variance against light")
     left.errorbar(level, v, vs, fmt="o", ms=4, label="temporal variance")
     left.errorbar(level, 2 * c, 2 * cs, fmt="s", ms=3, mfc="none", label="2 x contrast of the fixed pattern")
     left.set(xlabel="level / DN", ylabel="deviation from a smooth curve / %", ylim=(-4, 4))
@@ -268,7 +279,7 @@ def write_page(result: dict[str, object], path: Path) -> None:
     from html import escape
 
     def cells(values: list[object], tag: str = "td") -> str:
-        plain = ("" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in values)
+        plain = ("" if v is None or v != v else f"{v:.4g}" if isinstance(v, float) else str(v) for v in values)
         return "<tr>" + "".join(f"<{tag}>{escape(v)}</{tag}>" for v in plain) + "</tr>"
 
     keys = ("symbol", "name", "value", "sigma", "unit", "published", "note")
@@ -283,13 +294,14 @@ def write_page(result: dict[str, object], path: Path) -> None:
         f"<title>EMVA 1288 set 001</title><style>{style}</style><h1>A real CCD with known photon numbers</h1>"
         "<p>Measured: EMVA 1288 working group, reference set 001 (Basler AG, CC BY-SA 3.0); published: reference implementation "
         "1.0.2; the rest is this project's. Nothing of the pictures is kept here.</p>"
-        f"<h2>Table of the standard</h2><table>{table}</table>"
         f"<h2>What the linear model leaves</h2>{said}<img alt='local gain' src='data:image/png;base64,{picture}'>"
         "<p>Sure: code counts, temporal noise and fixed pattern are three measurements that share no random number, and each was "
         "judged on levels that nothing was learned from. Not sure: what else makes the last chi2 more than its degrees of freedom"
         " "
         "(widths that go together over more than 16 codes would). A test: the same camera with another analog gain or offset; "
-        "codes of unequal width stay at the same codes, effects of the light do not.</p></html>\n"
+        "codes of unequal width stay at the same codes, effects of the light do not.</p>"
+        f"<h2>Table of the standard</h2><table>{table}</table>"
+        "</html>\n"
     )
 
 

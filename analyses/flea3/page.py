@@ -16,6 +16,9 @@ table { border-collapse: collapse; margin: 1rem 0; font-size: .92rem; display: b
 th, td { border-bottom: 1px solid #ccc; padding: .25rem .7rem; text-align: right; }
 th:first-child, td:first-child { text-align: left; }
 img { max-width: 100%; height: auto; } .sure { color: #444; } h2 { margin-top: 2.2rem; }
+@media (max-width: 640px) { .said th { display: none; }
+.said td { display: block; border: 0; }
+.said td:last-child { border-bottom: 1px solid #ccc; } }
 """
 
 
@@ -75,7 +78,7 @@ def _statements(result: dict[str, Any]) -> list[str]:
     rows = "".join(
         f"<tr><td>{escape(a)}</td>{left}{escape(b)}</td>{left}{escape(c)}</td></tr>" for a, b, c in result["statements"]
     )
-    return ["<h2>What can be said</h2>", "<table><tr><th>statement</th><th style='text-align:left'>how sure</th>"
+    return ["<h2>What can be said</h2>", "<table class=said><tr><th>statement</th><th style='text-align:left'>how sure</th>"
             f"<th style='text-align:left'>what would test it</th></tr>{rows}</table>"]  # fmt: skip
 
 
@@ -235,14 +238,16 @@ def _verdict(result: dict[str, Any]) -> list[str]:
     ]
     found = verdict.get("diagnosis")
     named = (
-        f"<p>isetval diagnose: {escape(found['verdict'])}.</p>" if found else "<p>isetval diagnose was not run for this page.</p>"
+        f"<p>isetval diagnose: {escape(found['verdict'])}.</p>"
+        if found
+        else "<p>isetval diagnose: no verdict, not run to an end.</p>"
     )
     return [
         "<h2>On captures left out</h2>",
         f"<p>Response fitted on the charts without 650 nm, .25 s and 2 s: offset {verdict['offset_dn'][0]:.3f} DN, bend "
         f"{verdict['bend'][0]:.4f}; frozen on the rest:</p>",
         table(["captures", "response", "rows", "rms error %", "median z"], frozen),
-        "<p>isetval compare with the whole model, nuisances refitted on each part:</p>",
+        "<p>isetval compare with the whole model, nuisances refitted on each part; no rung settled:</p>",
         table(["captures", "model", "n", "mean-square z", "rms error %"], ladder),
         named,
     ]

@@ -233,8 +233,11 @@ def comparison_of(
     frames, nuisances = [], {}
     budget: list[BudgetRow] = []
     teller = Teller.of(say)
+    notes = list(prepared.table.notes)
     for model in models:
         fitted = prepared.fit_nuisances(model)
+        if not fitted.converged:
+            notes.append(f"{model.name}: the fit of the laboratory's unknowns did not settle; its errors are upper bounds")
         frames.append(_rows(prepared, model, fitted))
         nuisances[model.name] = {f.label: fitted.value(f.label) for f in fitted.free}
         problem = prepared.problem_for(model)
@@ -246,7 +249,7 @@ def comparison_of(
         gate=repeat_gate(prepared),
         nuisances=nuisances,
         models=tuple(models),
-        notes=prepared.table.notes,
+        notes=tuple(notes),
         budget=tuple(budget),
         settings={"replicas": prepared.problem.base.replicas, "metrics": int(prepared.problem.keep.size)},
     )
