@@ -23,6 +23,7 @@ SCRIPTS = (
     "spectral_qe",
     "inter_reflections",
     "color",
+    "pictures",
 )
 """In the order of the page."""
 
