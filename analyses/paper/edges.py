@@ -39,7 +39,7 @@ FILM_MM = {"0.5": 0.49234, "0.3": 0.57624}  # of the published renders (public s
 HAMMING = (1.0, 0.625, 0.133)  # correlation of noise at neighbouring frequencies: transform of the squared window of the ROI
 FLOOR = 3.0
 ALPHA_SIGMA = 3.0  # beyond which two values of one parameter are not one
-OFF_FOCUS_UM = tuple({"focus_0.5": a, "focus_0.3": b} for a, b in ((-3.0, 3.0), (3.0, -3.0)))  # half the prior of a focus setting
+OFF_FOCUS_UM = tuple({"focus_0.5": a, "focus_0.3": -a} for a in (-2.0, 2.0))  # starts on either side
 RISE_CY_MM = 110.0  # noise of a curve grows from none at 0 (curves are 1 there) to this; 24 simulated captures of each region
 HIGHEST_CY_MM = 350.0  # just below the sampling limit of the pixels, where the published curves end
 WITHIN = 0.05  # of MTF50
@@ -120,16 +120,40 @@ class Rung:
     fitted: Mapping[str, tuple[float, float]] | None = None
 
 
+def focused(campaign: isetval.Campaign, film_um: Mapping[str, float]) -> isetval.Campaign:
+    """The campaign with its films moved, by set-up."""
+    return replace(campaign, shots=tuple(replace(s, focus_um=film_um[s.setup]) for s in campaign.shots))
+
+
+def fitted(model: isetval.CameraModel, campaign: isetval.Campaign) -> tuple[isetval.Comparison, dict[str, tuple[float, float]]]:
+    """The comparison at the better of two starts, and what is free in it as (value, sigma).
+
+    A curve in focus has no derivative in its focus setting, and blur before the film looks like blur behind it: a fit ends on
+    the side where it starts.  Each start moves the prior by `OFF_FOCUS_UM` as well, a third of its sigma; the value is the whole.
+    """
+    free = {n.parameter: n.sigma for n in campaign.nuisances}
+    if "focus_um" not in free:
+        found = isetval.compare(model, campaign)
+        return found, dict(found.nuisances[model.name])
+    ends = []
+    for start in OFF_FOCUS_UM:
+        found = isetval.compare(model, focused(campaign, start))
+        values = {k: (v + start.get(k.rpartition(":")[2], 0.0), s) for k, (v, s) in found.nuisances[model.name].items()}
+        pulls = sum((v / free[k.split("@")[0]]) ** 2 for k, (v, _) in values.items())
+        ends.append((found.ladder[0].mean_square_z * len(found.table) + pulls, found, values))
+    return min(ends, key=lambda end: end[0])[1:]
+
+
 def rung(words: str, model: isetval.CameraModel, campaign: isetval.Campaign, keys: tuple[tuple[str, str], ...] = CURVES) -> Rung:
     """The curves of a model, under the campaign's priors."""
-    found = isetval.compare(model, campaign)
+    found, values = fitted(model, campaign)
     curves, gap = {}, {}
     for focus, edge in keys:
         rows = found.table[found.table["shot"] == f"focus_{focus}_edge_{edge}"]
         per_mm = rows["frequency_cy_px"].to_numpy(float) / (model.sensor.pixel_um * 1e-3)
         curves[focus, edge] = Curve(per_mm, rows["simulated"].to_numpy(float))
         gap[focus, edge] = rms((rows["measured"] - rows["simulated"]).to_numpy(float))
-    return Rung(words, curves, gap, found.ladder[0].mean_square_z, found.nuisances[model.name])
+    return Rung(words, curves, gap, found.ladder[0].mean_square_z, values)
 
 
 def published_rung(data: Path) -> Rung:
@@ -148,7 +172,9 @@ def ladder(folder: Path) -> list[Rung]:
     campaign = isetval.load_campaign(folder / "campaign.toml")
     fixed = replace(campaign, nuisances=())
     lens = isetval.load_model(folder / "published.toml")
-    ours = isetval.load_model(folder / "camera.toml")
+    full = isetval.load_model(folder / "camera.toml")
+    without = full.with_values({"axial_color.red_um": 0.0, "axial_color.blue_um": 0.0})
+    ours = without.with_values({"spherical.rms_waves": 0.0})
     film = 1e3 * (FILM_MM["0.3"] - FILM_MM["0.5"])
     at_films = replace(fixed, shots=tuple(replace(s, focus_um=film if s.setup == "focus_0.3" else 0.0) for s in fixed.shots))
     focused = lens.replace(replace(lens.effect("ray_transfer"), film_mm=0.0))
@@ -163,37 +189,25 @@ def ladder(folder: Path) -> list[Rung]:
         rung("and the two focus settings free (prior 6 um)", ours, focus_only),
         rung(
             "and pixel crosstalk, spherical aberration, f-number and distances under their priors",
-            ours,
+            without,
             replace(campaign, nuisances=without_color),
         ),
-        rung("and axial colour", ours, campaign),
+        rung("and axial colour", full, campaign),
     ]
 
 
 # %% Two curves predict the other two
-def predicted(folder: Path, fitted: tuple[tuple[str, str], ...]) -> Rung:
-    """The other curves from parameters and focus settings that were chosen on ``fitted`` alone; nothing is refitted.
-
-    A curve in focus has no derivative in its focus setting: the fit starts on either side of it, `OFF_FOCUS_UM` away, and the
-    better end is taken.
-    """
+def predicted(folder: Path, seen: tuple[tuple[str, str], ...]) -> Rung:
+    """The other curves from parameters and focus settings that were chosen on ``seen`` alone; nothing is refitted."""
     campaign, model = isetval.load_campaign(folder / "campaign.toml"), isetval.load_model(folder / "camera.toml")
-    names = [f"focus_{f}_edge_{e}" for f, e in fitted]
-    ends = [isetval.compare(model, _focused(campaign.only(names), start)) for start in OFF_FOCUS_UM]
-    best = min(range(len(ends)), key=lambda i: ends[i].ladder[0].mean_square_z)
-    found = {key.split("@")[0] + key.rpartition(":")[2]: v for key, (v, _) in ends[best].nuisances[model.name].items()}
-    camera = {key: float(model.value(key)) + v for key, v in found.items() if "." in key.partition("focus_")[0]}
-    film = {setup: OFF_FOCUS_UM[best][setup] + found[f"focus_um{setup}"] for setup in OFF_FOCUS_UM[best]}
-    others = tuple(key for key in CURVES if key not in fitted)
-    plan = _focused(campaign.only([f"focus_{f}_edge_{e}" for f, e in others]), film)
-    words = " and ".join(f"focus {f}, edge {e}" for f, e in fitted)
-    there = rung(f"parameters chosen on {words} alone", model.with_values(camera), replace(plan, nuisances=()), others)
-    return replace(there, fitted=ends[best].nuisances[model.name])
-
-
-def _focused(campaign: isetval.Campaign, film_um: Mapping[str, float]) -> isetval.Campaign:
-    """The campaign with its films moved."""
-    return replace(campaign, shots=tuple(replace(s, focus_um=film_um[s.setup]) for s in campaign.shots))
+    _, values = fitted(model, campaign.only([f"focus_{f}_edge_{e}" for f, e in seen]))
+    camera = {k.split("@")[0]: v for k, (v, _) in values.items() if not k.startswith("focus_um")}
+    film = {k.rpartition(":")[2]: v for k, (v, _) in values.items() if k.startswith("focus_um")}
+    others = tuple(key for key in CURVES if key not in seen)
+    plan = replace(focused(campaign.only([f"focus_{f}_edge_{e}" for f, e in others]), film), nuisances=())
+    moved = model.with_values({k: float(model.value(k)) + v for k, v in camera.items()})
+    words = " and ".join(f"focus {f}, edge {e}" for f, e in seen)
+    return replace(rung(f"parameters chosen on {words} alone", moved, plan, others), fitted=values)
 
 
 def _held_claim(out_of_focus: Rung, in_focus: Rung, measured: Mapping[tuple[str, str], Curve], printed: Rung) -> Claim:

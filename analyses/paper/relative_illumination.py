@@ -237,30 +237,25 @@ def _listed(words: Any) -> str:
 def _class_claim(verdicts: list[Verdict]) -> Claim:
     """The class of the loss, its form by the detective's evidence, its rivals."""
     forms = [
-        f"{v.lens}, {e.name}: " + ", ".join(f"{row.form} (ln evidence {row.log_evidence:.1f})" for row in e.forms)
+        f"{v.lens}, {e.name}: "
+        + ", ".join(f"{row.form}, {len(row.free)} free (ln evidence {row.log_evidence:.1f})" for row in e.forms)
         for v in verdicts
         for e in v.found.effects
         if e.forms
     ]
     named = [bool(v.names) and v.names[0] in AT_THE_PIXEL for v in verdicts]
-    odds = [f"{v.lens} {_odds(v, AT_THE_PIXEL)}, vignetting {_odds(v, ('vignetting',))}" for v in verdicts]
+    odds = [f"{v.lens} " + ", ".join(f"{e.name} {e.posterior:.3f}" for e in v.found.effects) for v in verdicts]
     return Claim(
         claim="what the loss is ('most likely the microlens array')",
         published="named by eye, not simulated",
         measured="-",
         ours="; ".join(v.words for v in verdicts),
         missing="a loss at the pixel by the angle of arrival",
-        sure="posterior of such a loss: " + "; ".join(odds) + ". Forms by evidence: " + "; ".join(forms),
+        sure="posterior of each name with its look-alikes: " + "; ".join(odds) + ". Forms by evidence: " + "; ".join(forms),
         target="an angle-dependent loss at the pixel is named by itself, with either lens",
         met=all(named),
         numbers={"named": float(named[0]), "named_design": float(named[1])},
     )
-
-
-def _odds(v: Verdict, names: tuple[str, ...]) -> str:
-    """The largest posterior of some effects in the table of candidates."""
-    rows = [row.posterior for row in v.found.candidates if row.name in names and row.posterior is not None]
-    return f"{max(rows):.3f}" if rows else "not asked"
 
 
 def _form_claim(rungs: Mapping[str, list[Rung | None]]) -> Claim:
@@ -293,7 +288,7 @@ def _table(rungs: Mapping[str, list[Rung | None]]) -> tuple[tuple[str, ...], ...
     for made in zip(*rungs.values(), strict=True):
         some = next(r for r in made if r)
         cells = (f"{r.held_points:.2f} ({r.mean_square_z:.1f})" if r else "-" for r in made)
-        values = ", ".join(f"{k.split('.')[1]} {v:.3g} +- {s:.1g}" for k, (v, s) in some.fitted.items())
+        values = ", ".join(f"{k.split('.')[1]} {round(v, 6):.3g} +- {s:.1g}" for k, (v, s) in some.fitted.items())
         rows.append((some.words, *cells, values))
     return (head, *rows)
 
