@@ -54,7 +54,8 @@ def with_unknown(case: Investigation, *, ask_holdout: bool = True) -> Beside:
             continue
         beside = unknown if names == case.standing.names else Unknown.of(_left(case.problem, found.fitted, here), {})
         more = 0.0 if beside is unknown else told
-        base = case.score(found) + float(np.log(ODDS_OF_UNKNOWN)) + more
+        logs[names] = case.score(found)  # with what the hold-out said since the sum was made
+        base = logs[names] + float(np.log(ODDS_OF_UNKNOWN)) + more
         logs[names | {UNKNOWN}] = base + beside.log_evidence()
         freed[names | {UNKNOWN}] = freed[names]
         for member in found.effects:

@@ -94,7 +94,7 @@ def investigated(monkeypatch):
     monkeypatch.setattr(members, "linear_model", lambda problem, fitted: fitted)
     monkeypatch.setattr(members, "_strength", lambda case, found, name: case.strength)
 
-    def of(z, classes=40, tau=30.0):
+    def of(z, classes=40, tau=30.0, told=0.0):
         nothing = model(z, [], dof=SURE_SCALES)
         own = term("k", column, tau)
         named = model(z, [], tau * column[:, None], dof=SURE_SCALES)
@@ -108,7 +108,8 @@ def investigated(monkeypatch):
             ),
         }
         standing = hypotheses[frozenset({"k"})]
-        table = Posterior({names: h.score for names, h in hypotheses.items()}, dict.fromkeys(hypotheses, 1))
+        hypotheses[frozenset({"k"})].score += told
+        table = Posterior({names: h.score - told * len(names) for names, h in hypotheses.items()}, dict.fromkeys(hypotheses, 1))
         case = SimpleNamespace(
             problem=None, held=None, known=hypotheses, standing=standing, fitted=named, table=table, score=lambda h: h.score,
             strength=abs(z[0]),
@@ -166,3 +167,8 @@ def test_an_unknown_alone_is_a_member(investigated):
     assert found.table.probabilities()[frozenset({UNKNOWN})] > 0.9
     assert found.table.of("k") < 0.1
     assert found.table.nothing < 1e-6
+
+
+def test_what_the_hold_out_said_after_the_sum_was_made_counts(investigated):
+    """An effect of 6 sigmas that a second session denies with e^-30: the sum of before it was asked must not be told."""
+    assert investigated(quiet(6.0), told=-30.0).table.of("k") < 1e-6
