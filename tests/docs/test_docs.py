@@ -55,6 +55,17 @@ def test_the_sidecar_of_the_documentation_fits_its_schema_and_is_read(tmp_path):
     assert read_sidecar(tmp_path / "d2_colorChecker30cm_400nm_100ms_2019.tif").levels_only
 
 
+def test_the_picture_of_the_readme_shows_the_numbers_that_it_prints():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (picture,) = re.findall(r"!\[[^\]]*\]\(([^)]*)\)", readme)
+    drawn = re.findall(r"<text[^>]*>([\d.]+)</text>", (ROOT / picture).read_text(encoding="utf-8"))
+    for family in ("all", "dark_mean", "dark_temporal_variance"):
+        line = re.search(rf"^  {family} .*$", readme, re.M)[0]
+        printed = re.findall(r"\d+\.\d{3}", line)
+        assert len(printed) == 2
+        assert set(printed) <= set(drawn), family
+
+
 @pytest.mark.slow
 def test_the_site_is_built_without_warnings(tmp_path):
     for name in ("sphinx", "numpydoc", "sphinx_gallery", "myst_parser"):
