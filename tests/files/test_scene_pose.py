@@ -111,7 +111,7 @@ def test_the_rendering_agrees_with_the_picture_from_its_pose_alone(drafted, mode
         next(row for row in isetval.compare(model, one).ladder if row.family == "chart_patch")
         for one in (campaign, replace(campaign, shots=(replace(shot, target=beside),)))
     )
-    assert here.rows == 24 * 4
+    assert here.n == 24 * 4
     assert here.mean_square_z < 1.5
     assert there.mean_square_z > 10 * here.mean_square_z
 
