@@ -127,8 +127,9 @@ class Effect:
     so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
     distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
-    one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays; ``per_light``
-    that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter that is the
+    one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,
+    ``for_unstated_chief_ray`` that it is the form for models in which none does (no candidate beside one that does);
+    ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter that is the
     exposure time beyond which it acts: each gap between the exposures of a plan is a form.  ``forms`` are the shapes that
     it may have, by field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with a ``tau``
     once the effect is named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its
@@ -157,6 +158,7 @@ class Effect:
     free: ClassVar[FreeAxis | None] = None
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False
+    for_unstated_chief_ray: ClassVar[bool] = False
     per_light: ClassVar[bool] = False
     switches_at: ClassVar[str] = ""
 

@@ -122,6 +122,7 @@ class Microlens(Effect):
     equation = "mu_c x (1 - m_c r^2), r = 1 at the corner"
     reference = "Catrysse & Wandell, J. Opt. Soc. Am. A 19 (2002) 1610 (pixel vignetting); second-order term"
     must_not_change = ("dark",)
+    for_unstated_chief_ray = True
 
     m_red: float = parameter(0.0, unit="1", low=-1.0, high=1.0, tau=0.15, doc="loss of red at the corner (gain < 0)")
     m_green: float = parameter(0.0, unit="1", low=-1.0, high=1.0, tau=0.15, doc="loss of green at the corner (gain < 0)")

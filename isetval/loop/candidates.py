@@ -138,7 +138,8 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Seque
         if standing is not None:
             out.append(Candidate(name, standing, parameters, True))
             continue
-        if any(f for f in cls.files()) or name in contained or (cls.needs_chief_ray and not chief_ray):
+        without_angle = cls.for_unstated_chief_ray if chief_ray else cls.needs_chief_ray
+        if any(f for f in cls.files()) or name in contained or without_angle:
             continue
         effect = cls()
         nulls: dict[str, Any] = {p.name: p.null for p in parameters}

@@ -12,7 +12,6 @@ import isetval
 from isetval.app.cli import main
 from isetval.core.toml import data_folder
 
-AT_THE_PIXEL = ("pixel_angular_response", "microlens")
 LENS_MM = 0.465136  # film distance of the published comparison
 
 
@@ -56,16 +55,12 @@ def test_published_curve_is_diagnosed_from_the_command_line(folder):
     assert main([*words, "--holdout", str(folder / "odd.csv"), "-q", "-o", str(folder / "d.json")]) == 0
     found = json.loads((folder / "d.json").read_text())
     first = found["effects"][0]
-    # the two losses at the pixel by the angle of arrival are one class: a curve against height cannot tell a loss in the chief
-    # ray angle from a free one in the field radius, so the form is the evidence's to choose and must be weighed
-    assert (found["verdict"], first["name"] in AT_THE_PIXEL) == ("attributed", True)
-    assert len(first["forms"]) >= 2
-    alone = {c["name"]: c["log_evidence"] for c in found["candidates"] if c["log_evidence"] is not None}
+    assert (found["verdict"], first["name"]) == ("attributed", "pixel_angular_response")
+    assert {form["form"] for form in first["forms"]} == {"gaussian", "sin2"}  # which the curve does not tell apart
+    assert "shift_deg" in first["parameters"]
     film = next(c for c in found["candidates"] if c["name"] == "ray_transfer")
     assert "film_shift_um" in film["estimate"]  # a suspect that was refitted and beaten
-    # in the place of the loss: odds below 1 to 100; beside it (its posterior) it keeps the prior odds of any further effect
-    assert alone["ray_transfer"] < max(alone[name] for name in AT_THE_PIXEL) - np.log(100)
-    assert film["posterior"] < 0.5
+    assert film["posterior"] < 0.01
     model = folder / "lens.toml"
     for i, effect in enumerate(found["effects"]):
         out = folder / f"m{i}.toml"
@@ -75,5 +70,4 @@ def test_published_curve_is_diagnosed_from_the_command_line(folder):
     assert before > 4
     assert after < 0.5
     assert rms < 0.3
-    added = isetval.load_model(model).effect(first["name"])
-    assert all(getattr(added, name) == choice for name, choice in first["choices"].items())
+    assert isetval.load_model(model).effect("pixel_angular_response").form == first["choices"]["form"]
