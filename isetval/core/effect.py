@@ -129,11 +129,11 @@ class Effect:
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,
     ``for_unstated_chief_ray`` that it is the form for models in which none does (no candidate beside one that does);
-    ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter that is the
-    exposure time beyond which it acts: each gap between the exposures of a plan is a form.  ``forms`` are the shapes that
-    it may have, by field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with a ``tau``
-    once the effect is named; ``free`` is the axis along which its form may be any smooth one.  With every parameter at its
-    null it must be the identity, unless it gives another unit than it acts on.
+    ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter
+    that is the exposure time beyond which it acts: each gap between the exposures of a plan is a form. ``forms`` are the
+    shapes that it may have, by field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with
+    a ``tau`` once the effect is named; ``free`` is the axis along which its form may be any smooth one. With every
+    parameter at its null it must be the identity, unless it gives another unit than it acts on.
     """
 
     name: ClassVar[str] = ""
