@@ -150,7 +150,7 @@ def least_chi2(fitted: Fit) -> float:
 
 
 def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dict[str, float]:
-    """Parameters to start a fit at, from the linear model's (in units of their priors' widths).
+    """Parameters to start a fit at, within their bounds, from the linear model's (in units of their priors' widths).
 
     A variance goes as the square of its parameter: what a secant of one step says of half of it is a quarter.
     """
@@ -159,7 +159,9 @@ def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dic
     if candidate.draws_noise:
         moved = step * np.sqrt(np.maximum(moved, 0.0) / step)
     reach = np.maximum(REACH * step, candidate.tau)
-    return dict(zip(candidate.keys, map(float, candidate.nominal + np.clip(moved, -reach, reach)), strict=True))
+    low, high = ([getattr(p, side) for p in candidate.parameters] for side in ("low", "high"))
+    values = np.clip(candidate.nominal + np.clip(moved, -reach, reach), low, high)
+    return dict(zip(candidate.keys, map(float, values), strict=True))
 
 
 def first_steps(candidate: Candidate, values: Mapping[str, float]) -> dict[str, float]:

@@ -23,7 +23,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.engine import Engine, Lost, run_works
 from isetval.core.errors import InputError
 from isetval.core.threads import one_blas_thread
-from isetval.files.campaign_writer import check_free, scratch_folder, shot_stems, write_frames, write_tables
+from isetval.files.campaign_writer import check_free, shot_stems, write_frames, write_tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +130,12 @@ def shoot_on(
 
 
 def _assemble(job: Shooting, folder: Path, target: Path) -> None:
-    """The campaign's folder from those of its shots, renamed into its place; they go when it is there."""
-    scratch = scratch_folder(target)
+    """The campaign's folder from those of its shots, renamed into its place; they go when it is there.
+
+    It is made among them, so that what a killed run leaves of it goes with them.
+    """
+    scratch = Path(tempfile.mkdtemp(dir=folder, prefix=".whole"))
+    scratch.chmod(0o755)
     try:
         files: dict[str, tuple[str, ...]] = {}
         for number, shot in enumerate(job.plan.shots):
