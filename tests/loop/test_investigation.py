@@ -1,18 +1,20 @@
 """The search on problems that are linear in three parameters: what stands, what gives way, what the hold-out says."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import isetval
-from isetval.core.campaign import Campaign
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
+from isetval.core.scene import Spectrum
 from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.detective import CLEAR, ODDS, _better, _proposals
 from isetval.loop.evidence import hypothesis, least_chi2
-from isetval.loop.fit import fit
-from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
+from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
@@ -164,3 +166,40 @@ def test_a_part_of_what_stands_is_as_likely_as_if_it_were_fitted(case):
     assert one not in case.rough
     assert rough.log_evidence == pytest.approx(full.log_evidence, abs=1e-6)
     assert least_chi2(rough.fitted) == pytest.approx(full.fitted.chi2, abs=1e-3)
+
+
+POSED = Campaign(
+    "plan",
+    (Shot("e", "flat", setup="A", measurement_session="A", light="lamp"),),
+    lights={"lamp": Light("lamp", Spectrum.flat(1.0))},
+    nuisances=(Nuisance("light_level", 10.0, "relative", "set-up"),),
+)
+
+
+class NoisyUnknownCamera(LinearCamera):
+    """Beside the three parameters an unknown, at every value of which other noise of half a sigma is simulated."""
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        linear = super().derivative_vectors(points, seeds)
+        shifts = [sum(p.values.values()) for p in points]
+        noise = [0.5 * np.sin(1e7 * np.arange(1, ROWS + 1) * shift) for shift in shifts]
+        return [a + shift * np.eye(ROWS)[4] + b for a, shift, b in zip(linear, shifts, noise, strict=True)]
+
+
+def test_the_hold_out_judges_all_at_one_place():
+    """Two models that differ by a thousandth of a sigma are as probable as each other, though the unknown moves by sigmas."""
+    case = case_of(10.0 * np.eye(ROWS)[0])
+    there = case_of(10.0 * np.eye(ROWS)[0] + 3.0 * np.eye(ROWS)[4])
+    problem = replace(there.problem, predictor=NoisyUnknownCamera(POSED, case.prepared.model))
+    free = nuisance_parameters(POSED, case.prepared.model)
+    case.held = SimpleNamespace(settled=lambda model: (problem, fit(problem, Point(model), free)))
+    single = fitted_jointly(case, frozenset({"dark_current"}))
+    key = "dark_current.rate_e_per_s"
+    near = {key: single.values[key] + 1e-3 * UNIT}
+    case.standing = single
+    case.told.clear()
+    ask_holdout(case, [SimpleNamespace(names=frozenset({"near"}), effects=single.effects, values=near)])
+    assert abs(case.told[frozenset({"near"})]) < 0.05
+    nothing = case.known[NOTHING]
+    ask_holdout(case, [nothing])
+    assert case.told[NOTHING] < -20  # 10 sigmas, with error bars as uncertain as they are

@@ -9,7 +9,8 @@ import isetval
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
-from isetval.loop.candidates import candidates_for, signatures
+from isetval.effects import catalogue
+from isetval.loop.candidates import Candidate, candidates_for, signatures
 from isetval.loop.evidence import first_values, hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
@@ -69,3 +70,16 @@ def test_a_fit_starts_at_the_root_of_what_the_secant_says():
     candidate, step = signature.candidate, float(signature.steps[0])
     mean = np.array([0.25 * step / candidate.tau[0]])  # a quarter of the variance that one step adds
     assert first_values(candidate, signature, mean)[KEY] == pytest.approx(step / 2)
+
+
+def test_a_fit_starts_within_the_bounds():
+    """A share of pixels below zero is nothing that could be simulated, whatever the secant says."""
+    effect = catalogue()["rts"]()
+    parameters = tuple(p for p in effect.parameters() if p.tau is not None)
+    candidate = Candidate("rts", effect, parameters, False)
+    signature = SimpleNamespace(steps=candidate.tau)
+    values = first_values(candidate, signature, -np.ones(len(parameters)))
+    assert [values[key] for key in candidate.keys] == pytest.approx(
+        [max(p.low, n - p.tau) for p, n in zip(parameters, candidate.nominal, strict=True)]
+    )
+    assert min(p.low for p in parameters) == 0
