@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -80,7 +80,7 @@ def add_scene_shot(work: Drafting, index: int, group: ShotGroup, built: BuiltSce
         if k == 1:
             work.targets.append(DraftTarget(name, table, comment=pose_words(pose)))
         work.add(index, shot)
-    work.priors += shift_priors(pose)
+    work.priors = widest([*work.priors, *shift_priors(pose)])
     return None
 
 
@@ -155,3 +155,12 @@ def shift_priors(pose: ScenePose) -> list[DraftPrior]:
         DraftPrior("chart_shift_x_px", right, "px", "set-up", words, ("chart", "edge")),
         DraftPrior("chart_shift_y_px", down, "px", "set-up", words, ("chart", "edge")),
     ]
+
+
+def widest(priors: Sequence[DraftPrior]) -> list[DraftPrior]:
+    """One prior for each parameter, the widest: a set-up has a value of its own, and a prior stated twice would count twice."""
+    found: dict[str, DraftPrior] = {}
+    for prior in priors:
+        if prior.parameter not in found or prior.sigma > found[prior.parameter].sigma:
+            found[prior.parameter] = prior
+    return list(found.values())

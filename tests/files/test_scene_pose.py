@@ -17,7 +17,9 @@ from isetval.core.scene import Scene
 from isetval.core.sensor import Exposure
 from isetval.files.campaign_writer import write_campaign
 from isetval.files.dng import write_dng
+from isetval.files.draft_types import DraftPrior
 from isetval.files.registration import register_chart
+from isetval.files.scene_drafting import widest
 from isetval.files.target_file import read_target
 from isetval.scenes.rendered.box import wall_camera
 from isetval.scenes.rendered.placing import project_px
@@ -146,3 +148,10 @@ def test_a_posed_scene_is_written_and_read_back(box, tmp_path, model):
     write_campaign(Campaign("c", (shot,), sensor=model.sensor), tmp_path / "c")
     again = isetval.load_campaign(tmp_path / "c").shots[0].target
     assert again.spec["camera"]["posed"] == POSE
+
+
+def test_two_pictures_state_the_shift_once():
+    """Each set-up draws its own; the picture whose pose is least known says how wide."""
+    told = [DraftPrior("chart_shift_x_px", sigma, "px", "set-up", "") for sigma in (0.05, 0.2, 0.1)]
+    other = DraftPrior("chart_shift_y_px", 0.3, "px", "set-up", "")
+    assert widest([*told, other]) == [told[1], other]
