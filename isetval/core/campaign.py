@@ -14,7 +14,7 @@ from isetval.core.captures import Captures, MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.core.given import GivenMetrics
 from isetval.core.parameter import NuisanceKind, Parameter, split_key
-from isetval.core.scene import Spectrum, Target
+from isetval.core.scene import ChartTarget, Spectrum, Target
 from isetval.core.sensor import Exposure, Sensor, Window
 
 ROLES = ("dark", "flat", "edge", "chart", "scene")
@@ -40,6 +40,9 @@ SHOT_NUISANCES = {
     "chart_shift_x_px": NuisanceKind("px", "shift of a chart's or scene's picture along x from the stated boxes", curved=True),
     "chart_shift_y_px": NuisanceKind("px", "shift of a chart's or scene's picture along y from the stated boxes", curved=True),
     "surround_reflectance": NuisanceKind("reflectance", "reflectance added to what lies around patches and edges"),
+    "patch_reflectance": NuisanceKind(
+        "relative", "reflectance of a chart's patch times (1 + value), each patch its own", each_patch=True
+    ),
     "dark_reflectance": NuisanceKind("reflectance", "reflectance added to black elements"),
     "qe_red": NuisanceKind("relative", "quantum efficiency of red in this light times (1 + value)"),
     "qe_green": NuisanceKind("relative", "quantum efficiency of green (or of MONO) in this light times (1 + value)"),
@@ -54,6 +57,11 @@ STEP = 0.05
 one sigma in all rows together whatever the step, which a pull of 13 sigmas of a narrow prior multiplied."""
 GIVEN_NUISANCES = ("scale", "offset", "axis_stretch")
 """Errors of whoever measured the rows of a metrics file: they act on those rows only, not on any light."""
+
+
+def of_patch(nuisance: str, patch: str) -> str:
+    """The name of the value that one patch has of a nuisance of its own."""
+    return f"{nuisance}:{patch}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +110,8 @@ class Nuisance:
             raise InputError(f"{where}: distribution is {self.distribution!r}; only 'normal' is known")
         if self.of_camera and self.scope == "frame":
             raise InputError(f"{where}: a camera parameter cannot have scope 'frame'; use campaign or measurement session")
+        if self.scope == "frame" and not self.of_camera and SHOT_NUISANCES[self.parameter].each_patch:
+            raise InputError(f"{where}: patches do not change from frame to frame; use campaign, measurement session or set-up")
         if unknown := set(self.roles) - set(ROLES):
             raise InputError(f"{where}: role {unknown.pop()!r} is unknown; it needs some of {', '.join(ROLES)}")
 
@@ -137,6 +147,14 @@ class Nuisance:
             curved=kind.curved,
             focus=kind.focus,
         )
+
+    def unknowns_of(self, shot: Shot | None = None) -> tuple[Parameter, ...]:
+        """The values that ``shot`` shares with others: one, or one for each patch of its chart."""
+        one = self.unknown(shot)
+        if shot is None or self.of_camera or not SHOT_NUISANCES[self.parameter].each_patch:
+            return (one,)
+        patches = shot.target.patches if isinstance(shot.target, ChartTarget) else ()
+        return tuple(replace(one, name=of_patch(self.parameter, patch.name), patch=patch.name) for patch in patches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,8 +313,7 @@ class Campaign:
                 continue
             shots: tuple[Shot | None, ...] = (None,) if prior.of_camera else tuple(s for s in self.shots if prior.applies_to(s))
             for shot in shots:
-                parameter = prior.unknown(shot)
-                out[parameter.label] = parameter
+                out |= {parameter.label: parameter for parameter in prior.unknowns_of(shot)}
         return tuple(out.values())
 
     def nuisances_of(self, shot: Shot) -> tuple[tuple[str, str], ...]:
@@ -307,7 +324,7 @@ class Campaign:
                 for p in self.nuisances
                 if p.scope != "frame" and not p.of_camera and p.parameter not in GIVEN_NUISANCES and p.applies_to(shot)
             ]
-            self._of_shots[shot.name] = tuple((p.parameter, p.unknown(shot).label) for p in acting)
+            self._of_shots[shot.name] = tuple((p.name, p.label) for prior in acting for p in prior.unknowns_of(shot))
         return self._of_shots[shot.name]
 
     @cached_property

@@ -14,13 +14,15 @@ class NuisanceKind:
     """What a laboratory may not know of a shot.
 
     ``curved``: metrics bend within a few prior sigmas, so that derivatives are taken anew where it has moved;
-    ``focus``: it is an error of the focus scale, which a lens's own defocus imitates exactly.
+    ``focus``: it is an error of the focus scale, which a lens's own defocus imitates exactly;
+    ``each_patch``: every patch of a chart has a value of its own, named ``NAME:PATCH``.
     """
 
     unit: str
     doc: str
     curved: bool = False
     focus: bool = False
+    each_patch: bool = False
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Parameter:
         Standard deviation of its Gaussian prior around ``center`` (None: no prior).
     step : float
         Finite difference of derivatives, in the parameter's unit.
+    patch : str
+        The patch of a chart whose rows it moves (empty: any): parameters of several patches are differentiated in one step.
     """
 
     name: str
@@ -58,6 +62,7 @@ class Parameter:
     high: float = math.inf
     curved: bool = False
     focus: bool = False
+    patch: str = ""
 
     @property
     def key(self) -> str:

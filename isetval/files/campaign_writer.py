@@ -169,8 +169,15 @@ def _noise(model: CameraModel | None) -> Any:
     return [noise_profile(gain_dn_per_e=gain, read_noise_dn=read_e * gain, sensor=model.sensor)]
 
 
-def write_tables(campaign: Campaign, folder: Path, files: Mapping[str, tuple[str, ...]], remarks: Iterable[str]) -> None:
-    """Write ``campaign.toml`` for captures that lie in ``folder`` already, with the spectra that it names."""
+def write_tables(
+    campaign: Campaign,
+    folder: Path,
+    files: Mapping[str, tuple[str, ...]],
+    remarks: Iterable[str],
+    *,
+    name: str = "campaign.toml",
+) -> None:
+    """Write the file ``name`` for captures that lie in ``folder`` already, with the spectra that it names."""
     import tomlkit
 
     document = tomlkit.document()
@@ -192,7 +199,7 @@ def write_tables(campaign: Campaign, folder: Path, files: Mapping[str, tuple[str
         document["target"] = {names[key]: target_table(target, names[key], spectra) for key, target in targets.items()}
     shots = [(s, shot_table(s, names.get(id(s.target), ""), files.get(s.name, ()))) for s in campaign.shots]
     _append(document, "shot", [table | written_metrics(s, folder) for s, table in shots])
-    write_whole(folder / "campaign.toml", tomlkit.dumps(document))
+    write_whole(folder / name, tomlkit.dumps(document))
     if campaign.provenance:
         import json
 

@@ -16,6 +16,7 @@ from isetval.files.shot_grouping import ShotGroup
 
 LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady
 NARROW_QE = 1.0  # ours, a factor of two: data sheets draw a filter's curve for its middle, not for its foot
+PATCH = 0.05  # ours: a colour's flank rises by 1 to 3 % per nm, tables and filters are known to some nm, paint differs by some %
 LAMP = 0.3  # ours, per 100 nm: what lamps behind a band-pass filter differ by, where it leaks and inside its band
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
@@ -88,6 +89,9 @@ def light_priors(
         for color in ("red", "green", "blue"):
             words = f"CHECK: {light.name}: what no camera model knows of its filters in so narrow a band"
             out.append(DraftPrior(f"qe_{color}", NARROW_QE, "relative", "campaign", words, (), (light.name,)))
+        if "chart" in roles:
+            words = f"CHECK: {light.name}: reflectances are those of a table's spot and bandwidth"
+            out.append(DraftPrior("patch_reflectance", PATCH, "relative", "campaign", words, ("chart",), (light.name,)))
         if light.file:
             words = f"CHECK: {light.name}: a filter's table says nothing of the lamp behind it, whose light it leaks elsewhere"
             out.append(DraftPrior("spectrum_tilt", LAMP, "relative per 100 nm", "campaign", words, (), (light.name,)))

@@ -127,7 +127,7 @@ def load_emva_descriptor(path: Path | str, *, pixel_um: float = UNKNOWN_PITCH_UM
         notes=(
             remark,
             f"the descriptor states no pixel pitch, {pixel_um:g} um is used; no wavelength, {WAVELENGTH_NM:g} nm stands for it; "
-            f"no error of its photon numbers: give one as a nuisance light_level of scope campaign",
+            "no error of its photon numbers: a nuisance light_level of scope campaign (isetval campaign init drafts it)",
         ),
     )
 
@@ -245,7 +245,7 @@ def _black_dn(read: _FrameReader, shots: Sequence[Shot], path: Path) -> tuple[fl
     darks = sorted((s for s in shots if s.role == "dark"), key=lambda s: s.exposure.time_s or 0.0)
     reasons = []
     for shot in darks:
-        means, variances = [], []
+        means = []
         for file in shot.files:
             try:
                 mosaic = read(shot.name, file).mosaic
@@ -253,12 +253,10 @@ def _black_dn(read: _FrameReader, shots: Sequence[Shot], path: Path) -> tuple[fl
                 reasons.append(str(error))
                 continue
             means.append(float(mosaic.mean()))
-            variances.append(float(mosaic.var()) / mosaic.size)
         if means:
-            black_dn, sigma_dn = float(np.mean(means)), math.sqrt(float(np.mean(variances)) / len(means))
             words = f"mean of {len(means)} dark frames of the shortest exposure ({shot.name}), an error that all shots share: "
-            words += f'parameter = "black_level.offset_dn", sigma = {sigma_dn:.2g}, scope = "campaign" as a nuisance'
-            return black_dn, f"black level {black_dn:.3f} +- {sigma_dn:.3f} DN: {words}"
+            words += 'a nuisance "black_level.offset_dn" of scope "campaign" (isetval campaign init drafts it)'
+            return float(np.mean(means)), f"black level {np.mean(means):.3f} DN: {words}"
     why = f"none can be read; the first: {reasons[0]}" if reasons else "it lists none"
     raise InputError(f"{path}: needs a dark series for the black level, and {why}")
 

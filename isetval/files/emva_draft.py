@@ -1,7 +1,8 @@
-"""``campaign init`` on a folder with an EMVA 1288 descriptor: its series as a campaign.toml that can be edited."""
+"""``campaign init`` on a folder with an EMVA 1288 descriptor: its series as a campaign.toml, and a camera from their numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,32 +12,37 @@ from isetval.core.errors import InputError
 from isetval.core.toml import resolve_path
 from isetval.core.writing import write_whole
 from isetval.files.campaign_writer import write_tables
+from isetval.files.emva_camera import emva_camera
 from isetval.files.emva_descriptor import load_emva_descriptor
+from isetval.files.emva_estimates import PARTS, camera_numbers, dealt, looking_at_the_middle, priors
 from isetval.files.sidecar import FOLDER_NAMES
+
+CAMERA = "camera.toml"
 
 
 def write_emva_campaign(descriptor: Path, *, camera: str = "") -> tuple[Path, Campaign]:
-    """Write ``campaign.toml`` and, for what the pictures do not say, ``images.toml`` beside a descriptor.
+    """Write beside a descriptor ``campaign.toml``, its parts, ``images.toml`` for what the pictures lack, and ``camera.toml``.
 
     Parameters
     ----------
     descriptor : path
     camera : str, optional
-        A camera model, for its pixel pitch.
+        A camera model, for its pixel pitch; none is drafted then.
 
     Returns
     -------
     path, campaign
-        The file, and the campaign that it holds.
+        The file, and the campaign that it holds; its notes tell what was assumed, and how the camera was drafted or why not.
 
     Raises
     ------
     InputError
-        If one of the two or a folder ``spectra`` exists, or the descriptor is refused.
+        If one of them or a folder ``spectra`` exists, or the descriptor is refused.
     """
     folder = descriptor.parent
     path, sidecar = folder / "campaign.toml", folder / FOLDER_NAMES[0]
-    for file in (path, sidecar, folder / "spectra"):
+    parts = [folder / part_name(part) for part in PARTS]
+    for file in (path, *parts, sidecar, folder / "spectra", *([] if camera else [folder / CAMERA, folder / "qe.csv"])):
         if file.exists():
             raise InputError(f"{file}: exists already; rename it first (nothing was written)")
     model = load_model(resolve_path(camera, Path())) if camera else None
@@ -48,8 +54,47 @@ def write_emva_campaign(descriptor: Path, *, camera: str = "") -> tuple[Path, Ca
         f"# What the pictures of {descriptor.name} do not say; its black level is the mean of the shortest darks.\n"
         f'cfa = "MONO"\nblack_dn = {sensor.black_dn[0][0]!r}\nbits = {sensor.bits}\npixel_um = {sensor.pixel_um!r}\n'
     )
-    remarks = [f"Drafted by `isetval campaign init` from {descriptor.name}.", *(f"CHECK: {note}" for note in campaign.notes)]
-    plain = replace(campaign, provenance={})
-    write_tables(plain, folder, {shot.name: shot.files for shot in campaign.shots}, remarks)
+    nuisances, reasons = priors(campaign)
+    campaign = replace(campaign, nuisances=nuisances)
+    own = dealt(campaign)
+    drafted = "" if camera else _drafted_camera(own[PARTS[0]], folder, descriptor.name)
+    notes = (*campaign.notes, *reasons, *([drafted] if drafted else []))
+    campaign = replace(campaign, notes=notes)
+    _write(campaign, folder, path.name, [f"Drafted by `isetval campaign init` from {descriptor.name}.", *_checks(notes)])
+    for part, shots in own.items():
+        looking, window = looking_at_the_middle(shots)
+        remarks = [
+            f"The part of campaign.toml to {part} on: {len(shots.shots)} of {len(campaign.shots)} series.",
+            *_checks([window]),
+        ]
+        _write(replace(looking, name=f"{campaign.name}, {part}"), folder, part_name(part), remarks)
     write_whole(sidecar, said)
     return path, campaign
+
+
+def part_name(part: str) -> str:
+    """The file of one of `PARTS`."""
+    return f"campaign_{part}.toml"
+
+
+def _checks(notes: Sequence[str]) -> list[str]:
+    return [f"CHECK: {note}" for note in notes if note]
+
+
+def _write(campaign: Campaign, folder: Path, name: str, remarks: Sequence[str]) -> None:
+    files = {shot.name: shot.files for shot in campaign.shots}
+    write_tables(replace(campaign, provenance={}), folder, files, remarks, name=name)
+
+
+def _drafted_camera(campaign: Campaign, folder: Path, name: str) -> str:
+    """Write the linear model with the numbers of session A, and the sentence that says so, or why there is none."""
+    assert campaign.sensor is not None
+    source = f"estimated: EMVA 1288 by isetval on the part 'learn' of {name}"
+    try:
+        found = camera_numbers(campaign)
+        model = emva_camera(campaign.name, campaign.sensor, found, folder, said=source, lacking=f"{name} gives none")
+    except InputError as error:
+        return f"no camera model was drafted: {error}; give one with --camera"
+    model.save(folder / CAMERA)
+    numbers = ", ".join(f"{key} {value:.4g}" for key, value in found.items())
+    return f"{CAMERA}: the linear model of the standard with numbers estimated on the part 'learn' ({numbers})"

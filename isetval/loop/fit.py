@@ -145,26 +145,48 @@ def far_values(fitted: Fit) -> dict[str, float]:
 
 
 def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool = False) -> list[Float]:
-    """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked."""
-    points: list[Point] = [point]
-    steps, twice = [], []
+    """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked.
+
+    What moves one patch of a chart is stepped together with the same of all other patches: each has the rows of its own
+    (sparse derivatives by groups of columns: Curtis, Powell, Reid, J. Inst. Math. Appl. 13 (1974) 117).
+    """
+    steps = {f.label: _step_of(f, point) for f in wanted}
+    groups: dict[str, list[Parameter]] = {}
     for f in wanted:
-        value = point.values.get(f.label, 0.0) if f.is_nuisance else point.model.value(f.label)
-        # less light where either would do: more of it may saturate a plane, whose rows would seem to feel nothing
-        up = -f.step if (f.is_nuisance and not f.curved and value - f.step >= f.low) or value + f.step > f.high else f.step
-        steps.append(up)
-        points.append(at(point, [f], [value + up]))
-        twice.append(f.curved or (both_sides and not f.is_nuisance and f.low <= value - up <= f.high))
-        if twice[-1]:
-            points.append(at(point, [f], [value - up]))
-    vectors = iter(problem.predictor.derivative_vectors(points, problem.seeds))
-    here = next(vectors)
-    out = []
-    for up, symmetric in zip(steps, twice, strict=True):
-        ahead = next(vectors)
-        slope = (ahead - next(vectors)) / (2 * up) if symmetric else (ahead - here) / up
-        out.append(np.nan_to_num(slope))
-    return out
+        groups.setdefault(_together(f), []).append(f)
+    twice = {key: _on_both_sides(own[0], steps[own[0].label], point, both_sides) for key, own in groups.items()}
+    sides = [(key, sign) for key in groups for sign in ((1, -1) if twice[key] else (1,))]
+    moved = [at(point, groups[key], [_value(f, point) + sign * steps[f.label] for f in groups[key]]) for key, sign in sides]
+    here, *vectors = problem.predictor.derivative_vectors([point, *moved], problem.seeds)
+    seen = dict(zip(sides, vectors, strict=True))
+    patches = np.array([m.patch for m in problem.predictor.table.metrics]) if any(f.patch for f in wanted) else None
+
+    def slope(f: Parameter) -> Float:
+        key = _together(f)
+        rise = (seen[key, 1] - seen[key, -1]) / 2 if twice[key] else seen[key, 1] - here
+        own = rise if patches is None or not f.patch else np.where(patches == f.patch, rise, 0.0)
+        return np.nan_to_num(own / steps[f.label])
+
+    return [slope(f) for f in wanted]
+
+
+def _together(f: Parameter) -> str:
+    """Equal for parameters that are stepped at once."""
+    return replace(f, name=f.name.removesuffix(f":{f.patch}")).label if f.patch else f.label
+
+
+def _value(f: Parameter, point: Point) -> float:
+    return point.values.get(f.label, 0.0) if f.is_nuisance else point.model.value(f.label)
+
+
+def _step_of(f: Parameter, point: Point) -> float:
+    """The step of a finite difference; less light where either would do: in more of it a plane may saturate and feel nothing."""
+    value = _value(f, point)
+    return -f.step if (f.is_nuisance and not f.curved and value - f.step >= f.low) or value + f.step > f.high else f.step
+
+
+def _on_both_sides(f: Parameter, step: float, point: Point, both_sides: bool) -> bool:
+    return f.curved or (both_sides and not f.is_nuisance and f.low <= _value(f, point) - step <= f.high)
 
 
 def fit(problem: Problem, start: Point, free: Sequence[Parameter], *, iterations: int = MAX_ITERATIONS) -> Fit:

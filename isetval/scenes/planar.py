@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.campaign import Light, Shot
+from isetval.core.campaign import Light, Shot, of_patch
 from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Highlight, Scene
@@ -44,10 +44,18 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
         target_tilt=(context.get("target_tilt_x"), context.get("target_tilt_y")),
         target_bow=(context.get("target_bow_x"), context.get("target_bow_y"), context.get("target_twist")),
         target_shift_px=(context.get("chart_shift_x_px"), context.get("chart_shift_y_px")),
+        patch_factor=_patch_factors(shot, context),
         surround=context.get("surround_reflectance"),
         black=context.get("dark_reflectance"),
         parameters={"wall_albedo": context.get("wall_albedo")},
     )
+
+
+def _patch_factors(shot: Shot, context: Context) -> dict[str, float]:
+    """What the laboratory's error of each patch makes of its reflectance; patches without an error are left out."""
+    patches = shot.target.patches if isinstance(shot.target, ChartTarget) else ()
+    errors = {patch.name: context.get(of_patch("patch_reflectance", patch.name)) for patch in patches}
+    return {name: max(0.0, 1 + error) for name, error in errors.items() if error}
 
 
 def _at_window(context: Context) -> float:
@@ -158,7 +166,8 @@ def _chart(scene: Scene, target: ChartTarget, context: Context) -> SpectralPictu
     rows, cols = context.window[2:]
     top, left = (int(place.flat[0]) - HALO_PX for place in context.place_in_shot())
     table = [np.maximum(scene.reflectance(target.surround) + scene.surround, 0)]
-    table += [scene.reflectance(patch.reflectance) + scene.gloss for patch in target.patches]
+    factor = scene.patch_factor
+    table += [scene.reflectance(patch.reflectance) * factor.get(patch.name, 1.0) + scene.gloss for patch in target.patches]
     boxes = [patch.box for patch in target.patches]
     label = np.zeros((rows + 2 * HALO_PX, cols + 2 * HALO_PX), np.intp)
     if target.background is not None and target.outline is not None:

@@ -1,5 +1,6 @@
 """EMVA 1288 descriptor files as campaigns: backslashes and all, photon numbers kept, nothing opened outside the folder."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v3
@@ -10,6 +11,7 @@ import isetval
 from isetval import Exposure, InputError
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.model import CameraModel
+from isetval.core.captures import MemoryCaptures
 from isetval.effects.color import QuantumEfficiency
 from isetval.effects.converter import ConversionGain
 from isetval.effects.optics_blur import Aperture
@@ -209,3 +211,82 @@ def test_campaign_init_recognises_it_and_the_numbers_stay(lab, tmp_path, capsys)
     assert [(m.name, m.value, m.sigma) for m in one.metrics] == [(m.name, m.value, m.sigma) for m in two.metrics]
     assert main(["campaign", "init", str(folder)]) == 3
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def drafted(lab, tmp_path_factory):
+    import shutil
+
+    from isetval.app.cli import main
+
+    folder = shutil.copytree(lab, tmp_path_factory.mktemp("drafted") / "set")
+    assert main(["campaign", "init", str(folder), "-q"]) == 0
+    return folder
+
+
+def test_init_deals_the_series_and_keeps_the_stacks_for_judging(drafted):
+    parts = {name: isetval.load_campaign(drafted / f"campaign_{name}.toml") for name in ("learn", "confirm", "judge")}
+    names = [shot.name for part in parts.values() for shot in part.shots]
+    assert sorted(names) == sorted(shot.name for shot in isetval.load_campaign(drafted).shots)
+    assert {"flat_stack_000", "dark_stack_000"} <= {shot.name for shot in parts["judge"].shots}
+    for part in ("learn", "confirm"):  # neighbours over the whole range
+        assert [s.role for s in parts[part].shots].count("flat") == 4
+    assert all(isetval.measure_campaign(part, summaries=False).metrics for part in parts.values())
+
+
+def test_init_states_what_nobody_knows_of_the_light(drafted):
+    """Photon numbers: one error for all levels, of the width that calibrated photodiodes have; the frame's own is measured."""
+    stated = {(n.parameter, n.scope): n.sigma for n in isetval.load_campaign(drafted).nuisances}
+    assert stated["light_level", "campaign"] == 0.03
+    assert stated["light_level", "frame"] < 0.002  # no flicker was planted: pixel noise of 7680 pixels is .06 % at 9000 photons
+    # darks of 7680 pixels without noise of rows: sigma / sqrt(2 x 7680), found from 17 frame means, to a half
+    assert stated["black_level.offset_dn", "campaign"] == pytest.approx(READ_DN / np.sqrt(2 * 7680), rel=0.5)
+
+
+def test_init_drafts_the_linear_camera_of_the_series(drafted):
+    """Planted gain, noise and efficiency, each marked as estimated; four levels of 7680 pixels give the gain to some percent."""
+    model = isetval.load_model(drafted / "camera.toml")
+    assert model.value("conversion_gain.gain_dn_per_e") == pytest.approx(GAIN, rel=0.06)
+    assert model.value("read_noise.sigma_e") == pytest.approx(READ_DN / GAIN, rel=0.06)
+    assert model.effect("conversion_gain").source.startswith("estimated: ")
+    efficiency = float((drafted / "qe.csv").read_text().splitlines()[-1].split(",")[1])
+    # the slope of the means is known ten times better than the gain
+    assert efficiency * model.value("conversion_gain.gain_dn_per_e") == pytest.approx(QE * GAIN, rel=0.01)
+    learned = isetval.load_campaign(drafted / "campaign_learn.toml")
+    (row,) = [row for row in isetval.compare(model, learned).ladder if row.family == "flat_mean"]
+    assert row.mean_square_z < 4  # four levels: chi2 of four falls above 16 once in 300
+
+
+def test_of_large_frames_the_middle_is_drafted():
+    from isetval.core.campaign import Campaign, Shot
+    from isetval.core.sensor import Sensor
+    from isetval.files.emva_estimates import LOOKED_AT, looking_at_the_middle
+
+    sensor = Sensor(3000, 4000, 2.0, "MONO", ((0.0, 0.0), (0.0, 0.0)), 4095.0, 12)
+    large, words = looking_at_the_middle(Campaign("large", (Shot("dark", "dark"),), sensor=sensor))
+    row0, col0, rows, cols = large.shots[0].window
+    assert rows * cols <= LOOKED_AT
+    assert abs(row0 + rows / 2 - 1500) <= 2
+    assert abs(col0 + cols / 2 - 2000) <= 2
+    assert (row0 % 2, col0 % 2) == (0, 0)
+    assert "middle" in words
+    small = Campaign("small", (Shot("dark", "dark"),), sensor=Sensor(480, 640, 2.0, "MONO", ((0.0, 0.0), (0.0, 0.0)), 4095.0, 12))
+    assert looking_at_the_middle(small) == (small, "")
+
+
+def test_saturation_is_where_the_variance_is_largest(lab):
+    """Pixels that hold no more than 2000 DN, below the converter's end: the fourth level, of 2020 DN, is the first beyond."""
+    from isetval.files.emva_estimates import beyond_saturation
+
+    campaign = isetval.load_campaign(lab)
+    flats = [s for s in campaign.shots if s.role == "flat" and s.frames == 2]
+    assert beyond_saturation(campaign, flats) == []
+    rng = np.random.default_rng(5)
+    flat = [f"flat_{i:03d}" for i in range(8)]
+
+    def frames(name):
+        dn = np.minimum(BLACK_DN + GAIN * rng.poisson(QE * 4000.0 * (1 + flat.index(name)), (80, 96)), 2000.0)
+        return isetval.Capture(np.round(dn).astype(np.uint16), campaign.sensor, (0, 0), Exposure(1e-4))
+
+    clipped = replace(campaign, captures=MemoryCaptures({name: (frames(name), frames(name)) for name in flat}))
+    assert [s.name for s in beyond_saturation(clipped, flats)] == [f"flat_{i:03d}" for i in range(3, 8)]

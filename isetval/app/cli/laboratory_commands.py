@@ -204,14 +204,20 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
 def _init_from_descriptor(descriptor: Path, camera: str, console: Console) -> Outcome:
     """The series of an EMVA 1288 descriptor as a campaign.toml."""
     from isetval.core.cache import file_hash
-    from isetval.files.emva_draft import write_emva_campaign
+    from isetval.files.emva_draft import CAMERA, part_name, write_emva_campaign
+    from isetval.files.emva_estimates import PARTS
 
     console.say(f"reading the series of {descriptor}")
     path, campaign = write_emva_campaign(descriptor, camera=camera)
     roles = [shot.role for shot in campaign.shots]
     lines = [f"{path}: {len(roles)} shots ({roles.count('flat')} flat, {roles.count('dark')} dark) of {descriptor.name}"]
     lines += [f"not known: {note}" for note in campaign.notes]
-    lines.append(f"next: isetval measure {descriptor.parent}")
+    folder = descriptor.parent
+    learn, confirm, judge = (folder / part_name(part) for part in PARTS)
+    lines.append(f"{learn.name}, {confirm.name}, {judge.name}: parts of it to learn from, to confirm on, and to judge by")
+    lines.append(f"next: isetval measure {folder}")
+    model = camera or (folder / CAMERA if (folder / CAMERA).is_file() else "CAMERA.toml")
+    lines.append(f"next: isetval diagnose {model} {learn} --holdout {confirm} -o d.json")
     result = {
         "kind": "campaign init",
         "file": str(path),

@@ -1,0 +1,85 @@
+"""Reflectances of a chart's patches as unknowns: planted errors come back, and all patches are differentiated in one step."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.errors import InputError
+from isetval.core.scene import ChartTarget, Patch, Spectrum
+from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
+from isetval.loop.fit import nuisance_parameters, slopes
+from isetval.loop.prediction import Point
+from isetval.loop.prepared import prepare
+
+LAMP = Light("lamp", Spectrum(np.array([390.0, 710.0]), np.array([0.002, 0.004])))
+STATED = {"a": 0.5, "b": 0.3, "c": 0.1}
+ERRORS = {"a": 0.08, "b": -0.06, "c": 0.0}
+BOXES = {"a": (16, 40, 16, 40), "b": (16, 40, 56, 80), "c": (16, 40, 96, 120)}
+
+
+def shot(name, light, reflectance, time_s=0.02):
+    patches = tuple(Patch(k, BOXES[k], Spectrum.flat(v)) for k, v in reflectance.items())
+    target = ChartTarget("chart", patches, surround=Spectrum.flat(0.1))
+    return Shot(name, "chart", light=light, exposure=Exposure(time_s), window=(1464, 1968, 56, 136), target=target, frames=4)
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+
+
+def chart(camera, reflectance, *nuisances, times_s=(0.02, 0.01)):
+    shots = tuple(shot(f"s{i}", "lamp", reflectance, t) for i, t in enumerate(times_s))
+    return Campaign("chart", shots, lights={"lamp": LAMP}, nuisances=nuisances, sensor=camera.sensor)
+
+
+PRIORS = (
+    Nuisance("light_level", 1e-4, "relative", "campaign"),
+    Nuisance("patch_reflectance", 0.05, "relative", "campaign", roles=("chart",)),
+)
+
+
+def test_planted_errors_come_back(camera):
+    true = {k: v * (1 + ERRORS[k]) for k, v in STATED.items()}
+    shots = isetval.simulate(camera, chart(camera, true), seed=3)
+    campaign = replace(chart(camera, STATED, *PRIORS), captures=shots.captures)
+    found = isetval.compare(camera, campaign)
+    (values,) = found.nuisances.values()
+    for name, error in ERRORS.items():
+        value, sigma = next(v for label, v in values.items() if label.startswith(f"patch_reflectance:{name}@"))
+        assert sigma < 0.01
+        # the prior of .05 draws by (sigma/.05)^2 of the error, less than .04 of it
+        assert abs(value - error) < 3.5 * sigma + 0.04 * abs(error), (name, value, sigma)
+
+
+def test_all_patches_are_differentiated_in_one_step(camera):
+    plan = chart(camera, STATED, *PRIORS)
+    with prepare(camera, isetval.simulate(camera, plan, seed=4)) as prepared:
+        problem, predictor = prepared.problem, prepared.problem.predictor
+        free = nuisance_parameters(problem.plan, camera)
+        own = [f for f in free if f.patch]
+        assert [f.patch for f in own] == ["a", "b", "c"]
+        points = []
+        true = predictor.derivative_vectors
+        predictor.derivative_vectors = lambda wanted, *rest, **more: points.extend(wanted) or true(wanted, *rest, **more)
+        together = slopes(problem, Point(camera), own)
+        assert len(points) == 2  # the place, and one step of all
+        alone = [slopes(problem, Point(camera), [f])[0] for f in own]
+        rows = problem.keep
+        level = problem.base.mean[rows]
+        for f, column, single in zip(own, together, alone, strict=True):
+            np.testing.assert_allclose(column, single, rtol=3e-3)  # tails of the blur bring .2 % from brighter patches
+            mine = np.array([predictor.table.metrics[i].patch == f.patch for i in rows])
+            means = np.array([predictor.table.metrics[i].name == "patch_mean" for i in rows])
+            assert not column[rows][~mine].any()
+            # a mean above black goes with the reflectance; rounding of one frame: .3 DN sqrt(2) / sqrt(64 pixels) / step .05
+            np.testing.assert_allclose(column[rows][mine & means], level[mine & means], rtol=0.01, atol=3 * 1.06)
+
+
+def test_patches_do_not_change_from_frame_to_frame():
+    with pytest.raises(InputError, match="do not change from frame to frame"):
+        Nuisance("patch_reflectance", 0.05, "relative", "frame")
