@@ -27,6 +27,7 @@ WILD_SD = 8.0  # robust sd: hot pixels and dust, never noise
 LEAST_NOISE_DN = 0.3  # rounding alone: 1 / sqrt(12)
 AT_BLACK_DN = 1.0  # black tags are whole numbers
 AT_BLACK_SD = 0.25  # of one pixel's noise: light of 6 % of the read noise's square is no light
+DARK_GAP_SD = 0.05  # of one pixel's noise: dark signal that differs by more makes the mean of two times no level of either
 CHECKED_ROWS = 16  # rows whose checksum tells two frames apart: their noise never repeats
 
 
@@ -71,6 +72,22 @@ class Setups:
         """The captures of these numbers, decoded now."""
         count = len(self.captures)
         return [self.captures[i] if i < count else self.given_dark[i - count] for i in numbers]
+
+    @property
+    def level_dark(self) -> tuple[int, ...]:
+        """Darks of the shortest time that was repeated, and of all times whose level is the same; for one dark or more.
+
+        The level and the noise that lit frames start from: at zero time dark electrons are signal like any other, while
+        frames of several times are no repeats of each other.
+        """
+        by_time: dict[float, list[int]] = {}
+        for i in self.dark:
+            by_time.setdefault(self.looks[i].known_time_s, []).append(i)
+        repeated = [time for time, numbers in by_time.items() if len(numbers) > 1] or list(by_time)
+        start = _level(by_time[min(repeated)], self.looks)
+        gap = DARK_GAP_SD * min(self.looks[i].noise_dn for i in self.dark)
+        same = {time for time, numbers in by_time.items() if abs(_level(numbers, self.looks) - start) <= gap}
+        return tuple(i for i in self.dark if self.looks[i].known_time_s in same)
 
     def light_dn(self, numbers: Sequence[int], plane: str) -> float:
         """Mean of a plane over frames, DN above the black tag."""

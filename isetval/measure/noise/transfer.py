@@ -72,7 +72,8 @@ def photon_transfer(
     roi : (row0, row1, col0, col1), optional
         Region on the mosaic, the same for all.
     dark : sequence of Capture, optional
-        Dark frames.  Without them the captures at the shortest time whose mean is at black are taken.
+        Dark frames, of one or several exposure times: black level and read noise are those of the shortest (and of all
+        times that show no other level).  Without them the captures at the shortest time whose mean is at black are taken.
     method : {"default", "lyu2022"}
         ``lyu2022`` is the single-level estimator of Lyu et al. (2022), appendix on conversion gain, applied to the
         brightest unsaturated level.
@@ -138,7 +139,7 @@ def _measure_darks(setups: Setups, roi: RoiLike | None) -> tuple[dict[str, DarkL
     """Plane -> dark level, and plane -> raw mean where there are two frames or more."""
     if not setups.dark:
         return {}, {}
-    frames = setups.frames(setups.dark)
+    frames = setups.frames(setups.level_dark)
     lines = plane_line_moments(frames, roi) if len(frames) > 1 else {}
     darks = {plane: dark_level(frames, plane, roi, lines=lines.get(plane)) for plane in planes_of(frames[0])}
     return darks, {plane: float(line.row_means.mean()) for plane, line in lines.items()}

@@ -7,6 +7,9 @@ from noise_camera import DSNU_E, GAIN, READ_E, NoiseCamera
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
 from isetval.measure import dark, photon_transfer
+from isetval.measure.noise.setups import DARK_GAP_SD
+
+LIT = (200.0, 500.0, 1000.0, 2000.0, 3000.0)
 
 
 def test_level_noise_and_dsnu_of_every_plane():
@@ -122,6 +125,20 @@ def test_darks_of_several_times_give_photon_transfer_no_wrong_tag_either():
     darks = [c for t in (0.01, 1.0, 4.0) for c in camera.shoot(0.0, 4, time_s=t)]
     flats = [c for e in (200.0, 800.0, 3000.0) for c in camera.shoot(e, 2, time_s=e * 2e-5)]
     assert "black_level_differs_from_tag" not in photon_transfer(flats, dark=darks)["MONO"].flags
+
+
+@pytest.mark.parametrize("matched", [False, True])
+def test_darks_of_several_times_are_no_repeats_of_each_other(matched):
+    """Long darks carry dark current and its pattern: merged, they gave a read noise of 4.1 e- where 2.1 is true."""
+    rng = np.random.default_rng(53)
+    camera = NoiseCamera(rng, dark_e_per_s=6.0 * rng.gamma(4, 0.25, (128, 128)))
+    flats = [c for e in LIT for c in camera.shoot(e, 2, time_s=e * 2e-5)]
+    times = [e * 2e-5 for e in LIT] if matched else (0.01, 0.5, 2.0)
+    found = photon_transfer(flats, dark=[c for t in times for c in camera.shoot(0.0, 4, time_s=t)])["MONO"]
+    for quantity, true in ((found.gain_dn_per_e, GAIN), (found.read_noise_e, READ_E), (found.dsnu_e, DSNU_E)):
+        assert abs(quantity.value - true) < 4 * quantity.total_sigma
+    level = 64 + 6.0 * GAIN * times[0]
+    assert abs(found.black_dn.value - level) < 4 * found.black_dn.total_sigma + DARK_GAP_SD * READ_E * GAIN
 
 
 def test_a_noise_that_is_not_there_is_a_limit_in_words_and_never_negative():
