@@ -274,7 +274,8 @@ def _proposals(case: Investigation, *, first: bool) -> list[Names]:
     chi2 = dict.fromkeys(singles, 0.0) | {frozenset({row.name}): row.dchi2 for row in case.rows}
     most = max(chi2[names] for names in singles)
     likely = [names for names in singles if logs[names] > floor]
-    bent = sorted((n for n in singles if chi2[n] > (1 - BEND**2) * most and logs[n] > logs[NOTHING]), key=lambda n: -chi2[n])
+    seen = {frozenset({row.name}) for row in case.rows if row.p_corrected < ALPHA}
+    bent = sorted((n for n in singles if chi2[n] > (1 - BEND**2) * most and n in seen), key=lambda n: -chi2[n])
     return list(dict.fromkeys(name for both in zip_longest(likely, bent) for name in both if name))
 
 

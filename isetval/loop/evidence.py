@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from isetval.loop.subset_sum import LinearModel, Term, Weighed, weigh
 Float = NDArray[np.float64]
 CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery 1995, table 1)
 STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's parameter, well above the noise of common numbers
+NOISE_SHARE = 0.5
+"""Of a noise's strength: its finite step.  Variances go as its square, of which central differences are exact at any step; short
+ones measure which pixels happen to round to another code (row noise of 2 DN seemed known to .4 % in place of 4)."""
 REACH = 1.5  # widths of a signature's secant that a fit starts away from the null at most: the secant bends beyond
 WORTH = 0.5  # share of the linear gain in ln Z below which a fit has not found what a draw of the specimen promises
 
@@ -166,9 +169,17 @@ def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dic
 
 def first_steps(candidate: Candidate, values: Mapping[str, float]) -> dict[str, float]:
     """Finite steps of a candidate's parameters near some values."""
-    away = np.abs(np.array([values[key] for key in candidate.keys]) - candidate.nominal)
-    steps = np.maximum(candidate.effect.step_share * away, STEP_SHARE * candidate.tau)
+    here = np.array([values[key] for key in candidate.keys])
+    steps = np.maximum(candidate.effect.step_share * np.abs(here - candidate.nominal), STEP_SHARE * candidate.tau)
+    noise = [candidate.effect.random != "none" and not candidate.effect.rare and p.low == 0.0 for p in candidate.parameters]
+    steps = np.where(noise, np.maximum(NOISE_SHARE * np.abs(here), steps), steps)
     return dict(zip(candidate.keys, map(float, steps), strict=True))
+
+
+def with_steps(free: Sequence[Parameter], members: Sequence[Member], values: Mapping[str, float]) -> tuple[Parameter, ...]:
+    """Free parameters of a fit, those of ``members`` with the finite steps that suit where they stand now."""
+    steps = {key: step for m in members if isinstance(m, Candidate) for key, step in first_steps(m, values).items()}
+    return tuple(replace(f, step=steps.get(f.label, f.step)) for f in free)
 
 
 def smallest_detectable(score: Score, alpha_sigma: float = 3.67, power_sigma: float = 1.64) -> float | None:

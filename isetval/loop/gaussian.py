@@ -40,6 +40,12 @@ def whitener(covariance: Float) -> Float:
     return np.asarray(solve_triangular(lower, np.diag(1 / scale), lower=True))
 
 
+def log_volume(covariance: Float) -> float:
+    """Ln det of a covariance (n, n), with the diagonal that `whitener` gives it."""
+    lower, scale = cholesky(covariance)
+    return float(2 * np.sum(np.log(np.diag(lower))) + 2 * np.sum(np.log(scale)))
+
+
 def square(residual: Float, covariance: Float) -> float:
     """R' C^-1 r of a residual (n,)."""
     return float(squares(residual[:, None], covariance)[0])

@@ -14,7 +14,7 @@ from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.detective import CLEAR, ODDS, _better, _proposals
 from isetval.loop.evidence import hypothesis, least_chi2
 from isetval.loop.fit import fit, nuisance_parameters
-from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, weigh_neighbours
+from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
@@ -63,7 +63,8 @@ def case_of(measured):
         for c, column in zip(chosen, COLUMNS.values(), strict=True)
     }
     nothing = hypothesis(problem, (), fitted)
-    case = Investigation(SimpleNamespace(model=model), None, problem, nothing, tuple(chosen), (), signatures, make_frame(fitted))
+    prepared = SimpleNamespace(model=model, problem_for=lambda *_, **__: problem)  # linear: no weight changes with the model
+    case = Investigation(prepared, None, problem, nothing, tuple(chosen), (), signatures, make_frame(fitted))
     case.known[NOTHING] = nothing
     weigh_neighbours(case)
     return case
@@ -203,3 +204,75 @@ def test_the_hold_out_judges_all_at_one_place():
     nothing = case.known[NOTHING]
     ask_holdout(case, [nothing])
     assert case.told[NOTHING] < -20  # 10 sigmas, with error bars as uncertain as they are
+
+
+class NoisyCamera(LinearCamera):
+    """Six variances in six shots, v0 + sigma^2 each, known to 20 %: of themselves, so that error bars grow with the noise."""
+
+    V0, RELATIVE = 0.01, 0.2
+
+    def variance(self, model):
+        return self.V0 + self.offset(model, NOISE) ** 2
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        return [np.full(ROWS, self.variance(p.model)) for p in points]
+
+    def problem(self, model, measured):
+        base = np.full(ROWS, self.variance(model))
+        covariance = np.diag((self.RELATIVE * base) ** 2)
+        made = Base(base, covariance, np.zeros((16, ROWS)), np.ones(ROWS))
+        white = np.diag(1 / (self.RELATIVE * base))
+        return Problem(self, Point(model), made, measured, np.arange(ROWS), white, base, covariance)
+
+
+NOISE = "temporal_row_noise.sigma_dn"
+
+
+def noisy_case(sigma):
+    """Measured variances scatter by as much as they are known to, about those of a row noise of ``sigma``."""
+    model = isetval.load_model(isetval_data() / "camera.toml")
+    (wanted,) = (c for c in candidates_for(model) if c.name == "temporal_row_noise")
+    camera = NoisyCamera(Campaign("plan", ()), model)
+    scatter = np.array([1.2, -1.2, 0.9, -0.9, 0.3, -0.3])
+    measured = (camera.V0 + sigma**2) * (1 + NoisyCamera.RELATIVE * scatter)
+    problem = camera.problem(model, measured)
+    fitted = fit(problem, Point(model), ())
+    step = wanted.tau[0]
+    prepared = SimpleNamespace(model=model, problem_for=lambda m, **_: camera.problem(m, measured))
+    signatures = {wanted.name: Signature(wanted, np.full((ROWS, 1), step), np.array([step]))}
+    nothing = hypothesis(problem, (), fitted)
+    case = Investigation(prepared, None, problem, nothing, (wanted,), (), signatures, make_frame(fitted))
+    case.known[NOTHING] = nothing
+    weigh_neighbours(case)
+    return case, measured, scatter
+
+
+@pytest.mark.parametrize("sigma", [0.2, 0.4, 0.8])
+def test_strong_noise_is_weighed_with_the_error_bars_that_it_gives_itself(sigma):
+    """Error bars of a camera without it call what the noise scatters a misfit, which the scale of its family then answers for."""
+    case, measured, scatter = noisy_case(sigma)
+    found = fitted_jointly(case, frozenset({"temporal_row_noise"}))
+    value = found.values[NOISE]
+    assert value == pytest.approx(sigma, rel=0.15)
+    # ln of the normal density at the fit, less that at the null's error bars for z = 0, and of its prior, in closed form
+    true = NoisyCamera.V0 + value**2
+    z = (measured - true) / (NoisyCamera.RELATIVE * true)
+    slope = 2 * value / (NoisyCamera.RELATIVE * true) * case.candidates[0].tau[0]
+    prior = -0.5 * (value / case.candidates[0].tau[0]) ** 2 - 0.5 * np.log(1 + ROWS * slope**2) + np.log(2)
+    expected = -0.5 * z @ z - ROWS * np.log(true / NoisyCamera.V0) + prior
+    assert found.log_evidence == pytest.approx(expected, abs=1)
+    assert found.log_evidence > case.known[NOTHING].log_evidence + 10
+    assert z == pytest.approx(scatter, abs=0.5)
+
+
+@pytest.mark.parametrize("sigma", [0.2, 0.4, 0.8])
+def test_the_strength_of_a_noise_is_as_sure_as_its_variances(sigma):
+    """At its own place six variances known to 20 % tell it to 20 % / sqrt(6) / 2; the steps there are of its own length."""
+    case, _, _ = noisy_case(sigma)
+    case.standing = fitted_jointly(case, frozenset({"temporal_row_noise"}))
+    rebase(case, quiet)
+    value, error = case.fitted.value(NOISE)
+    v = value**2 / (NoisyCamera.V0 + value**2)
+    assert error / value == pytest.approx(NoisyCamera.RELATIVE / np.sqrt(ROWS) / 2 / v, rel=0.1)
+    (step,) = (f.step for f in case.fitted.free)
+    assert step == pytest.approx(value / 2, rel=0.2)

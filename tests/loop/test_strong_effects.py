@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.core.campaign import Campaign
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.candidates import Candidate, candidates_for, signatures
@@ -83,3 +85,25 @@ def test_a_fit_starts_within_the_bounds():
         [max(p.low, n - p.tau) for p, n in zip(parameters, candidate.nominal, strict=True)]
     )
     assert min(p.low for p in parameters) == 0
+
+
+def small_plan(nominal, sigma_dn):
+    """Four dark and four lit shots in two sessions, 8 rows in a family and session, with row noise hidden in them."""
+    light = Light("white", Spectrum(np.array([390.0, 710.0]), np.array([0.0016, 0.0016])))
+    at = (1480, 1984, 48, 48)
+    dark = [Shot(f"{s}d{t:g}", "dark", f"{s}d", s, Exposure(time_s=t), 4, window=at) for s in "AB" for t in (0.01, 0.2)]
+    lit = [Shot(f"{s}f{t:g}", "flat", f"{s}f", s, Exposure(time_s=t), 2, "white", window=at) for s in "AB" for t in (0.004, 0.03)]
+    priors = (Nuisance("light_level", 0.02, "relative", roles=("flat",)),)
+    plan = Campaign("row_noise", (*dark, *lit), lights={"white": light}, nuisances=priors, sensor=nominal.sensor)
+    return isetval.simulate(nominal.add(catalogue()["temporal_row_noise"](sigma_dn=sigma_dn)), plan, seed=5, draw=True)
+
+
+@pytest.mark.parametrize("sigma_dn", [0.2, 0.5])
+def test_strong_row_noise_has_its_name_where_a_family_has_eight_rows(sigma_dn):
+    """Fifty to a thousand sigmas of each row: once the scale of eight error bars answered for it in place of the name."""
+    nominal = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    found = isetval.diagnose(nominal, small_plan(nominal, sigma_dn), with_next_captures=False)
+    assert [e.name for e in found.effects] == ["temporal_row_noise"]
+    told = found.effects[0].parameters["sigma_dn"]
+    assert abs(told.value - sigma_dn) < 2.5 * told.sigma
+    assert 0.02 < told.sigma / told.value < 0.06  # 48 rows in 3 differences of frames, twice: 1/sqrt(2 x 288) = .042
