@@ -76,7 +76,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         "finds the camera's pose in it",
     )
     p.add_argument("--open", action="store_true", help="open the page with the pictures of what was found")
-    p.set_defaults(handler=campaign_init, writes_result=False)
+    p.set_defaults(handler=campaign_init, writes_result=True)
     p = actions.add_parser(
         "check", parents=[common], help="what a campaign would measure now", description=campaign_check.__doc__
     )
