@@ -162,6 +162,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     """Group and register the raw files of a folder into a campaign.toml that runs at once; campaign.html shows what was found."""
     from isetval.app.report.campaign_page import write_campaign_page
     from isetval.core.cache import file_hash
+    from isetval.core.toml import PACKAGE_PREFIX
     from isetval.files.draft import draft_campaigns, write_draft
     from isetval.files.draft_text import sentences
     from isetval.files.emva_descriptor import find_emva_descriptor
@@ -187,6 +188,9 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     lines += left_out_lines(draft.skipped)
     lines += [f"note: {note}" for note in draft.notes]
     lines.append(f"next: isetval measure {args.folder}")
+    if draft.camera:
+        model = draft.camera if draft.camera.startswith(PACKAGE_PREFIX) else args.folder / draft.camera
+        lines.append(f"next: isetval compare {model} {args.folder}")
     result = {
         "kind": "campaign init",
         "file": made[0][0],
