@@ -18,6 +18,7 @@ from isetval.core.context import Mode, stream, word
 from isetval.core.sensor import Exposure, as_rational_time
 
 Float = NDArray[np.float64]
+PLASTIC = 1.324717957244746  # x^3 = x + 1
 BIG_PX = 1_000_000  # below it starting threads costs more than they save
 NORMAL_ABOVE_E = 30.0  # skewness of a Poisson number 1/sqrt(30) = .18: its normal twin keeps mean and variance exactly
 
@@ -54,10 +55,21 @@ def expose(
             dn = electronics(model, part, own, factor=float(factor), threads=threads)
             if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
                 place = (roi.row0, roi.col0) if setup.regions else ()
-                dn = dn + stream(seed, word("dither"), word(shot.name), frame, *place).random(dn.shape) - 0.5
+                rng = stream(seed, word("dither"), word(shot.name), frame, *place)
+                dn = dn + (_even_dither(dn.shape, rng) if shot.levels_only else rng.random(dn.shape) - 0.5)
             codes[roi.row0 : roi.row1, roi.col0 : roi.col1] = _codes(dn)
         frames.append(_capture(model, setup, codes, seed, frame, stored))
     return tuple(frames)
+
+
+def _even_dither(shape: tuple[int, ...], rng: np.random.Generator) -> Float:
+    """Parts of a code, (rows, cols), so evenly spread that means of n neighbours err by some 1/n of a code, not 1/sqrt(n).
+
+    A lattice whose steps are powers of the plastic number's inverse (Roberts' R2 sequence), begun anywhere: a fit to means
+    of patches follows levels smoothly.
+    """
+    rows, cols = np.ogrid[: shape[-2], : shape[-1]]
+    return np.asarray((rng.random() + rows / PLASTIC + cols / PLASTIC**2) % 1.0 - 0.5)
 
 
 def _codes(dn: NDArray[Any]) -> NDArray[np.uint16]:

@@ -95,6 +95,7 @@ def shoot(
     camera = camera_with(model, plan, values)
     for shot in plan.shots:
         setup = after_shot_before(shot_setup(plan, shot, values), camera, plan, values)
+        setup = frame_patches(plan, shot, setup, seed) if draw else setup
         mean_electrons(camera, setup, progress=rendering)
         factors = frame_levels(plan, shot, seed) if draw else None
         yield shot, expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors)
@@ -117,6 +118,7 @@ def shoot_one(
     camera = camera_with(model, plan, values)
     factors = frame_levels(plan, shot, seed) if draw else None
     setup = after_shot_before(shot_setup(plan, shot, values), camera, plan, values)
+    setup = frame_patches(plan, shot, setup, seed) if draw else setup
     return expose(camera, setup, seed, sensor_seed=sensor_seed, frame_factors=factors)
 
 
@@ -173,6 +175,17 @@ def time_in_session(plan: Campaign, shot: Shot) -> float:
 def draw_nuisances(plan: Campaign, seed: int) -> dict[str, float]:
     """One draw of every nuisance from its prior, by label; each has its own stream."""
     return {p.label: (p.prior or 0.0) * stream(seed, word("nuisance"), word(p.label)).standard_normal() for p in plan.unknowns()}
+
+
+def frame_patches(plan: Campaign, shot: Shot, setup: ShotSetup, seed: int) -> ShotSetup:
+    """The set-up with what the frames of a shot have on the average of patches that change from frame to frame, drawn."""
+    drawn = dict(setup.nuisance)
+    for prior in plan.nuisances:
+        if prior.scope == "frame" and prior.parameter == "patch_reflectance" and prior.applies_to(shot):
+            for p in prior.unknowns_of(shot):
+                draw = stream(seed, word("nuisance"), word(p.label)).standard_normal() * prior.sigma / np.sqrt(shot.frames)
+                drawn[p.name] = drawn.get(p.name, 0.0) + draw
+    return replace(setup, nuisance=drawn)
 
 
 def frame_levels(plan: Campaign, shot: Shot, seed: int) -> Float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,10 +21,12 @@ from isetval.core.sensor import Exposure, Sensor, Window
 ROLES = ("dark", "flat", "edge", "chart", "scene")
 SCOPES = ("campaign", "measurement session", "set-up", "frame")
 SHOT_NUISANCES = {
-    "light_level": NuisanceKind("relative", "radiance of the light times (1 + value)"),
+    "light_level": NuisanceKind("relative", "radiance of the light times (1 + value)", factor=True),
     "light_tilt_x": NuisanceKind("relative", "rise of the light along x from the middle to the end of the half diagonal (flats)"),
     "light_tilt_y": NuisanceKind("relative", "rise of the light along y from the middle to the end of the half diagonal (flats)"),
     "light_radial": NuisanceKind("relative", "rise of the light with the square of the field radius, at the corner (flats)"),
+    "light_bow_x": NuisanceKind("relative", "rise of the light with the square of x, at the end of the half diagonal (flats)"),
+    "light_bow_y": NuisanceKind("relative", "rise of the light with the square of y, at the end of the half diagonal (flats)"),
     "light_drift": NuisanceKind("relative", "rise of a light from its first to its last shot in a measurement session"),
     "spectrum_tilt": NuisanceKind("relative per 100 nm", "tilt of the light's spectrum around 550 nm"),
     "spectrum_bow": NuisanceKind("relative per (100 nm)^2", "bend of the light's spectrum: rise with the square around 550 nm"),
@@ -41,14 +44,14 @@ SHOT_NUISANCES = {
     "chart_shift_y_px": NuisanceKind("px", "shift of a chart's or scene's picture along y from the stated boxes", curved=True),
     "surround_reflectance": NuisanceKind("reflectance", "reflectance added to what lies around patches and edges"),
     "patch_reflectance": NuisanceKind(
-        "relative", "reflectance of a chart's patch times (1 + value), each patch its own", each_patch=True
+        "relative", "reflectance of a chart's patch times (1 + value), each patch its own", factor=True, each_patch=True
     ),
     "dark_reflectance": NuisanceKind("reflectance", "reflectance added to black elements"),
-    "qe_red": NuisanceKind("relative", "quantum efficiency of red in this light times (1 + value)"),
-    "qe_green": NuisanceKind("relative", "quantum efficiency of green (or of MONO) in this light times (1 + value)"),
-    "qe_blue": NuisanceKind("relative", "quantum efficiency of blue in this light times (1 + value)"),
-    "wall_albedo": NuisanceKind("relative", "reflectance of the side walls of a rendered scene times (1 + value)"),
-    "scale": NuisanceKind("relative", "rows of a metrics file times (1 + value)"),
+    "qe_red": NuisanceKind("relative", "quantum efficiency of red in this light times (1 + value)", factor=True),
+    "qe_green": NuisanceKind("relative", "quantum efficiency of green (or of MONO) in this light times (1 + value)", factor=True),
+    "qe_blue": NuisanceKind("relative", "quantum efficiency of blue in this light times (1 + value)", factor=True),
+    "wall_albedo": NuisanceKind("relative", "reflectance of the side walls of a rendered scene times (1 + value)", factor=True),
+    "scale": NuisanceKind("relative", "rows of a metrics file times (1 + value)", factor=True),
     "offset": NuisanceKind("unit of the rows", "value added to the rows of a metrics file"),
     "axis_stretch": NuisanceKind("relative", "radius, frequency or level of the rows of a metrics file times (1 + value)"),
 }
@@ -110,8 +113,6 @@ class Nuisance:
             raise InputError(f"{where}: distribution is {self.distribution!r}; only 'normal' is known")
         if self.of_camera and self.scope == "frame":
             raise InputError(f"{where}: a camera parameter cannot have scope 'frame'; use campaign or measurement session")
-        if self.scope == "frame" and not self.of_camera and SHOT_NUISANCES[self.parameter].each_patch:
-            raise InputError(f"{where}: patches do not change from frame to frame; use campaign, measurement session or set-up")
         if unknown := set(self.roles) - set(ROLES):
             raise InputError(f"{where}: role {unknown.pop()!r} is unknown; it needs some of {', '.join(ROLES)}")
 
@@ -146,6 +147,8 @@ class Nuisance:
             else max(self.sigma, min(4 * self.sigma, STEP)),
             curved=kind.curved,
             focus=kind.focus,
+            low=-1.0 if kind.factor else -math.inf,
+            factor=kind.factor,
         )
 
     def unknowns_of(self, shot: Shot | None = None) -> tuple[Parameter, ...]:

@@ -15,6 +15,7 @@ class NuisanceKind:
 
     ``curved``: metrics bend within a few prior sigmas, so that derivatives are taken anew where it has moved;
     ``focus``: it is an error of the focus scale, which a lens's own defocus imitates exactly;
+    ``factor``: it is what something is multiplied with less 1, so that it never falls below -1;
     ``each_patch``: every patch of a chart has a value of its own, named ``NAME:PATCH``.
     """
 
@@ -22,6 +23,7 @@ class NuisanceKind:
     doc: str
     curved: bool = False
     focus: bool = False
+    factor: bool = False
     each_patch: bool = False
 
 
@@ -45,6 +47,8 @@ class Parameter:
         Standard deviation of its Gaussian prior around ``center`` (None: no prior).
     step : float
         Finite difference of derivatives, in the parameter's unit.
+    factor : bool
+        Whether something is multiplied with 1 + value, which stays above 0.
     patch : str
         The patch of a chart whose rows it moves (empty: any): parameters of several patches are differentiated in one step.
     """
@@ -62,6 +66,7 @@ class Parameter:
     high: float = math.inf
     curved: bool = False
     focus: bool = False
+    factor: bool = False
     patch: str = ""
 
     @property

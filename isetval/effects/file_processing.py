@@ -49,7 +49,6 @@ class LinearizationTable(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
-    whole_codes = True
     order = 10.0
     absent = "files without a table"
     imitated_by = (
@@ -84,7 +83,6 @@ class GainMapApplied(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
-    whole_codes = True
     order = 20.0
     absent = "untouched raw data"
     imitated_by = (
@@ -115,7 +113,6 @@ class DigitalGain(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
-    whole_codes = True
     order = 25.0
     absent = "untouched raw data"
     imitated_by = (
@@ -150,7 +147,6 @@ class RawFiltering(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
-    whole_codes = True
     order = 30.0
     absent = "untouched raw data"
     imitated_by = (
@@ -191,7 +187,6 @@ class LensCorrection(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
-    whole_codes = True
     order = 35.0
     absent = "untouched raw data"
     imitated_by = (
@@ -236,7 +231,6 @@ class WrongBlackTag(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
-    whole_codes = True
     order = 40.0
     absent = "files read with the sensor's own black"
     imitated_by = (
@@ -267,7 +261,6 @@ class BlackClip(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
-    whole_codes = True
     random = "sensor"
     order = 50.0
     absent = "files with a pedestal far above the noise"

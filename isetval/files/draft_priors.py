@@ -17,6 +17,7 @@ from isetval.files.shot_grouping import ShotGroup
 LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady
 NARROW_QE = 1.0  # ours, a factor of two: data sheets draw a filter's curve for its middle, not for its foot
 PATCH = 0.05  # ours: a colour's flank rises by 1 to 3 % per nm, tables and filters are known to some nm, paint differs by some %
+PATCH_FRAME = 0.005  # ours: lamps behind filters ripple, and a patch is as even as that
 LAMP = 0.3  # ours, per 100 nm: what lamps behind a band-pass filter differ by, where it leaks and inside its band
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
@@ -90,6 +91,8 @@ def light_priors(
             words = f"CHECK: {light.name}: what no camera model knows of its filters in so narrow a band"
             out.append(DraftPrior(f"qe_{color}", NARROW_QE, "relative", "campaign", words, (), (light.name,)))
         if "chart" in roles:
+            words = f"CHECK: {light.name}: a patch in one picture, by ripple of the lamp and unevenness that moves by a pixel"
+            out.append(DraftPrior("patch_reflectance", PATCH_FRAME, "relative", "frame", words, ("chart",), (light.name,)))
             words = f"CHECK: {light.name}: reflectances are those of a table's spot and bandwidth"
             out.append(DraftPrior("patch_reflectance", PATCH, "relative", "campaign", words, ("chart",), (light.name,)))
         if light.file:
@@ -142,9 +145,7 @@ def camera_words(darks: Sequence[ShotGroup], captures: FileCaptures) -> list[str
             out.append(f"visit {session}: {cut}")
             continue
         window = own[0].first.window
-        frames = [
-            middle_of(c) for g in own if g.first.window == window for f in g.files if (c := captures.take("", f)) is not None
-        ]
+        frames = [_middle(c) for g in own if g.first.window == window for f in g.files if (c := captures.take("", f)) is not None]
         try:
             planes = dark(frames)
         except InputError as error:
@@ -184,7 +185,7 @@ def _blacks(group: ShotGroup) -> tuple[float, ...]:
     return tuple(level for row in group.first.sensor.black_dn for level in row)
 
 
-def middle_of(capture: Capture) -> Capture:
+def _middle(capture: Capture) -> Capture:
     """The middle of a capture: enough pixels for a noise, at its place on the sensor."""
     from dataclasses import replace
 

@@ -13,10 +13,8 @@ from isetval.core.sensor import Window
 from isetval.files.emva_camera import SYMBOLS
 from isetval.files.emva_descriptor import FEWEST_OF_A_STACK
 
-LEVELS, DARKS = (
-    8,
-    4,
-)  # of a part: the bend of a response and the growth of darks show in so many; each is simulated thousands of times
+# of a part: the bend of a response and the growth of darks show in so many; each is simulated thousands of times
+LEVELS, DARKS = 6, 3
 PARTS = ("learn", "confirm", "judge")
 LOOKED_AT = 2**19  # pixels of a shot: a variance is known to .2 %, and a diagnosis costs in proportion
 PHOTONS = 0.03  # ours: photodiodes come calibrated to 3 %, and the format states no error of its photon numbers
@@ -30,13 +28,13 @@ def dealt(campaign: Campaign) -> dict[str, Campaign]:
     """Parts of the series: ``learn``, ``confirm`` and ``judge``.
 
     The first two take neighbours of about `LEVELS` levels and `DARKS` darks over the whole range, the third the others and the
-    stacks.  Of the levels beyond saturation, where the variance is largest (EMVA 1288 R4.0, 6.6), each has one.
+    stacks.  Levels beyond saturation, where the variance is largest (EMVA 1288 R4.0, 6.6), are in none of them.
     """
     series = [s for s in campaign.shots if s.frames < FEWEST_OF_A_STACK]
     flats = sorted((s for s in series if s.role == "flat"), key=lambda s: s.photons_per_pixel or 0.0)
     darks = sorted((s for s in series if s.role == "dark"), key=lambda s: s.exposure.time_s or 0.0)
     saturated = beyond_saturation(campaign, flats)
-    places = dict(zip((s.name for s in saturated), PARTS, strict=False)) | {s.name: "" for s in saturated[len(PARTS) :]}
+    places = {s.name: "" for s in saturated}
     for shots, wanted in (([s for s in flats if s.name not in places], LEVELS), (darks, DARKS)):
         step = max(2, round(len(shots) / wanted))
         places |= {s.name: PARTS[min(i % step, 2)] for i, s in enumerate(shots)}
@@ -86,13 +84,13 @@ def priors(campaign: Campaign) -> tuple[tuple[Nuisance, ...], list[str]]:
     out = [
         Nuisance("light_level", PHOTONS, "relative", "campaign", roles=("flat",)),
         Nuisance("light_level", steady, "relative", "frame", roles=("flat",)),
-        *(Nuisance(f"light_{k}", EVEN, "relative", "campaign", roles=("flat",)) for k in ("tilt_x", "tilt_y", "radial")),
+        *(Nuisance(f"light_{k}", EVEN, "relative", "campaign", roles=("flat",)) for k in ("tilt_x", "tilt_y", "bow_x", "bow_y")),
         Nuisance("black_level.offset_dn", black_dn, "DN", "campaign"),
     ]
     words = [
         f"light_level of the campaign, {PHOTONS:g}: the photon numbers' scale; photodiodes come calibrated to 3 %",
         f"light_level of a frame, {steady:.2g}: scatter of frame means of one level beyond their pixel noise",
-        f"light_tilt_x, light_tilt_y, light_radial, {EVEN:g}: the standard asks for light even to 3 %",
+        f"light_tilt_x, light_tilt_y, light_bow_x, light_bow_y, {EVEN:g}: the standard asks for light even to 3 %",
         f"black_level.offset_dn, {black_dn:.2g} DN: the mean of the shortest darks, by the scatter of all dark frames' means",
     ]
     return tuple(out), words

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,8 @@ MAX_FAILURES = 2  # steps in a row that do not help, each a sixth as long: a thi
 RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
 SCALED = 0.1  # change of a relative parameter (light, efficiency) that scales the derivatives of all others by as much
+LEAST_FACTOR = 1e-3  # step of a factor that fell to nothing: its slope is that of the light itself
+LONGEST = 1.5  # of a factor's logarithm in one step: four times and a quarter, beyond the width of any prior
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
 ALIKE = 0.995  # cosine above which an effect imitates focus: finite steps of the two differ by about a percent
 CONVERGED = 0.02  # in chi2: a seventh of a sigma in one parameter, below the 1/16 that simulation adds
@@ -135,13 +137,28 @@ def made_parallel(problem: Problem, column: Float, focus: Sequence[Float]) -> Fl
 
 
 def far_values(fitted: Fit) -> dict[str, float]:
-    """Focus errors that a fit moved by more than `FAR` of their prior's sigmas, to the nearest whole sigma."""
+    """Where weights, too, are made at the place of the fit: focus errors and factors that a fit moved far.
+
+    Focus: beyond `FAR` of the prior's sigmas, to the nearest whole sigma.  Factors: variances and clipped rows go with the
+    level; beyond a tenth, to the nearest tenth of the logarithm.
+    """
     out = {}
     for f in fitted.free:
-        unit = f.reach
-        if f.focus and abs(fitted.value(f.label)[0]) > FAR * unit:
-            out[f.label] = unit * round(fitted.value(f.label)[0] / unit)
+        value = fitted.value(f.label)[0]
+        if f.focus and abs(value) > FAR * f.reach:
+            out[f.label] = f.reach * round(value / f.reach)
+        elif f.factor and abs(value) > SCALED and not f.patch:
+            out[f.label] = float(np.expm1(SCALED * round(np.log1p(max(value, LEAST_FACTOR - 1)) / SCALED)))
     return out
+
+
+def moved_far(fitted: Fit, made_at: Mapping[str, float]) -> bool:
+    """Whether a fit ended so far from the values at which its weights were made that they are made anew."""
+    found = far_values(fitted)
+    factors = {f.label for f in fitted.free if f.factor}
+    focus = {k for k in {*found, *made_at} - factors if found.get(k) != made_at.get(k)}
+    apart = (np.log1p(found.get(k, 0.0)) - np.log1p(made_at.get(k, 0.0)) for k in {*found, *made_at} & factors)
+    return bool(focus) or any(abs(d) > 1.5 * SCALED for d in apart)  # one step of the grid is rounding
 
 
 def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool = False) -> list[Float]:
@@ -182,7 +199,8 @@ def _value(f: Parameter, point: Point) -> float:
 def _step_of(f: Parameter, point: Point) -> float:
     """The step of a finite difference; less light where either would do: in more of it a plane may saturate and feel nothing."""
     value = _value(f, point)
-    return -f.step if (f.is_nuisance and not f.curved and value - f.step >= f.low) or value + f.step > f.high else f.step
+    step = min(f.step, max(SCALED * (1 + value), LEAST_FACTOR)) if f.factor else f.step
+    return -step if (f.is_nuisance and not f.curved and value - step >= f.low) or value + step > f.high else step
 
 
 def _on_both_sides(f: Parameter, step: float, point: Point, both_sides: bool) -> bool:
@@ -273,12 +291,23 @@ class _State:
 
     def moved(self, problem: Problem, start: Point, free: tuple[Parameter, ...], step: Float) -> _State:
         """The state a step away, clipped to the parameters' bounds; infinitely dear where nothing can be simulated."""
-        values = np.clip(self.values + step, [f.low for f in free], [f.high for f in free])
+        values = np.clip(_walked(self.values, step, free), [f.low for f in free], [f.high for f in free])
         (prediction,) = problem.predict([at(start, free, list(values))])
         z = problem.whitened(problem.measured - prediction)
         pulls = self.weight * (values - self.center)
         cost = float(z @ z + pulls @ pulls)
         return replace(self, values=values, prediction=prediction, z=z, cost=cost if np.isfinite(cost) else np.inf)
+
+
+def _walked(values: Float, step: Float, free: Sequence[Parameter]) -> Float:
+    """Values a step on; factors walk along their logarithm, so that 1 + value stays above 0.
+
+    A full step from an efficiency that is stated to a factor of two would end below no light, where nothing has a slope; and
+    of light, efficiency and reflectance, whose product alone is seen, steps along a straight line leave a bent valley.
+    """
+    factor = np.array([f.factor for f in free], bool) & (values > -1)
+    size = np.where(factor, 1 + values, 1.0)
+    return np.where(factor, size * np.exp(np.clip(step / size, -LONGEST, LONGEST)) - 1, values + step)
 
 
 def _step(matrix: Float, state: _State, radius: float) -> tuple[Float, float, float]:

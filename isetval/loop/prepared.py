@@ -16,7 +16,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.given import row_words
 from isetval.core.metric import MetricTable
-from isetval.loop.fit import Fit, far_values, fit, nuisance_parameters, slopes
+from isetval.loop.fit import Fit, far_values, fit, moved_far, nuisance_parameters, slopes
 from isetval.loop.given_side import given_rows
 from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import DERIVATIVE_SEEDS, REPLICAS, Point, Predictor
@@ -29,6 +29,7 @@ PLAIN_REPLICAS = 64
 """Of plans of darks and flats, a fifth of a second each: the variance of a family of ten rows is then known to 6 %.  With 16 it
 was 11 %, the same in every diagnosis of a plan: fresh captures of the very model stood at 1.29 in one family of 18.  Edges and
 charts cost ten times as much."""
+MAX_PLACES = 4  # places at which weights are made for one fit: a bound on cost, the second is the last where focus moved
 MIN_GATE = 0.05  # what sigma may be off by, however many repeats there are: 2.5 % of it
 
 
@@ -60,16 +61,22 @@ class Prepared:
         return self.problems[key]
 
     def settled(self, model: CameraModel) -> tuple[Problem, Fit]:
-        """The problem and its nuisance fit; simulated anew where the focus lies far from zero.
+        """The problem and its nuisance fit; simulated anew where focus or levels lie far from where they are stated.
 
-        Noise and bias of an edge depend on focus: weights made at another focus judge wrongly, and may have
-        driven the other nuisances away, which start at zero again.
+        Noise and bias of an edge depend on focus, those of a mean on its level: weights made elsewhere judge wrongly.  At
+        another focus they may have driven the other nuisances away, which start at zero again.
         """
         model = model.sampled_as(self.campaign.sensor)
         problem, fitted = self.problem_for(model), self.fit_nuisances(model)
-        if values := far_values(fitted):
+        values: dict[str, float] = {}
+        for _ in range(MAX_PLACES):
+            if not moved_far(fitted, values):
+                break
+            values = far_values(fitted)
             problem = self.problem_for(model, values=values)
-            fitted = fit(problem, Point(model, values), fitted.free)
+            focused = any(f.focus and f.label in values for f in fitted.free)
+            near = values if focused else {**fitted.point.values, **values}
+            fitted = fit(problem, Point(model, near), fitted.free)
         return problem, fitted
 
     def fit_nuisances(self, model: CameraModel) -> Fit:

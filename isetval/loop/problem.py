@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.core.campaign import Campaign, Shot
+from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
+from isetval.core.scene import ChartTarget
 from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 from isetval.measure.noise.statistics import tilt_power
@@ -131,9 +132,12 @@ def _light_slope(problem: Problem, step: float) -> Float:
 
 
 def _frame_columns(problem: Problem) -> list[Float]:
-    """Columns of light that flickers from frame to frame: of each shot's mean, sigma / sqrt(frames), and of the rise over it."""
+    """Columns of what changes from frame to frame: light that flickers, as a whole and patch by patch of a chart.
+
+    Of each shot's mean, sigma / sqrt(frames), and of the rise over it.
+    """
     plan, predictor = problem.plan, problem.predictor
-    priors = [n for n in plan.nuisances if n.scope == "frame" and n.parameter == "light_level"]
+    priors = [n for n in plan.nuisances if n.scope == "frame" and n.parameter in ("light_level", "patch_reflectance")]
     if not priors:
         return []
     slope = _light_slope(problem, FLICKER_STEP)
@@ -142,13 +146,21 @@ def _frame_columns(problem: Problem) -> list[Float]:
         slope = np.where(lost, np.nan_to_num(_light_slope(problem, -FLICKER_STEP)), slope)
     out = []
     for shot in predictor.shots:
-        sigma = np.sqrt(sum(n.sigma**2 for n in priors if n.applies_to(shot)) / shot.frames)
-        if sigma:
-            column = np.zeros_like(slope)
-            column[predictor.rows[shot.name]] = sigma * slope[predictor.rows[shot.name]]
-            out.append(column)
-            out.append(_rises(predictor, shot, sigma * slope))
+        whole, patchwise = (_of_frame(priors, parameter, shot) for parameter in ("light_level", "patch_reflectance"))
+        column = np.zeros_like(slope)
+        column[predictor.rows[shot.name]] = slope[predictor.rows[shot.name]]
+        if whole:
+            out += [whole * column, _rises(predictor, shot, whole * slope)]
+        if patchwise:  # a reflectance acts as the light on the rows of its patch
+            patches = np.array([m.patch for m in predictor.table.metrics])
+            names = [p.name for p in shot.target.patches] if isinstance(shot.target, ChartTarget) else []
+            out += [np.where(patches == name, patchwise * column, 0.0) for name in names]
     return out
+
+
+def _of_frame(priors: Sequence[Nuisance], parameter: str, shot: Shot) -> float:
+    """Standard deviation of a shot's mean by what changes from frame to frame."""
+    return float(np.sqrt(sum(n.sigma**2 for n in priors if n.parameter == parameter and n.applies_to(shot)) / shot.frames))
 
 
 def _rises(predictor: Predictor, shot: Shot, of_mean: Float) -> Float:

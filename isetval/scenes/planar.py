@@ -41,6 +41,7 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
         target=_moved(shot.target, context),
         tilt=(context.get("light_tilt_x"), context.get("light_tilt_y")),
         radial=context.get("light_radial"),
+        bow=(context.get("light_bow_x"), context.get("light_bow_y")),
         target_tilt=(context.get("target_tilt_x"), context.get("target_tilt_y")),
         target_bow=(context.get("target_bow_x"), context.get("target_bow_y"), context.get("target_twist")),
         target_shift_px=(context.get("chart_shift_x_px"), context.get("chart_shift_y_px")),
@@ -139,14 +140,15 @@ def mean_radiance(scene: Scene) -> Float:
 
 
 def light_field(scene: Scene, context: Context) -> Float:
-    """Relative light of a uniform field, (1, rows, cols) or (1, 1, 1): tilt and radial part, in lab axes."""
-    if not (scene.tilt[0] or scene.tilt[1] or scene.radial):
+    """Relative light of a uniform field, (1, rows, cols) or (1, 1, 1): tilt, radial part and bow, in lab axes."""
+    if not (any(scene.tilt) or scene.radial or any(scene.bow)):
         return np.ones((1, 1, 1))
     x, y = context.xy_mm()
     unit = context.sensor.half_diagonal_mm
     x, y = x / unit, y / unit
     lab_x, lab_y = _in_lab(x, y, context)
     field = 1 + scene.tilt[0] * lab_x + scene.tilt[1] * lab_y + scene.radial * (x**2 + y**2)
+    field += scene.bow[0] * lab_x**2 + scene.bow[1] * lab_y**2
     return np.asarray(field[None])
 
 

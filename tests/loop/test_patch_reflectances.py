@@ -7,7 +7,6 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
-from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
@@ -78,8 +77,3 @@ def test_all_patches_are_differentiated_in_one_step(camera):
             assert not column[rows][~mine].any()
             # a mean above black goes with the reflectance; rounding of one frame: .3 DN sqrt(2) / sqrt(64 pixels) / step .05
             np.testing.assert_allclose(column[rows][mine & means], level[mine & means], rtol=0.01, atol=3 * 1.06)
-
-
-def test_patches_do_not_change_from_frame_to_frame():
-    with pytest.raises(InputError, match="do not change from frame to frame"):
-        Nuisance("patch_reflectance", 0.05, "relative", "frame")

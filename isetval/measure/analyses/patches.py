@@ -89,6 +89,8 @@ def _patch_rows(
     rows: list[Found] = []
     for i, (patch, box) in enumerate(zip(patches, boxes, strict=True)):
         for j, plane in enumerate(result.planes):
+            if not plane.startswith(shot.channel):  # G: both greens
+                continue
             value, sigma = result.mean_dn[i, j], max(result.temporal_sigma_dn[i, j], LEAST_SIGMA_DN)
             if shot.levels_only:
                 sigma = math.hypot(sigma, rounding_error_dn(sigma, _pixels(box, len(result.planes))))
