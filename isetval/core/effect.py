@@ -125,7 +125,8 @@ class Effect:
     of one stage when a model puts one in; ``must_not_change`` names what it leaves alone, of `UNTOUCHED`; ``rare`` says
     that its pattern is a few pixels or lines of a specimen,
     so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
-    distance from the null; ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
+    distance from the null; ``whole_codes`` that it rounds codes anew, so that metrics are a stair of its parameters;
+    ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,
     ``for_unstated_chief_ray`` that it is the form for models in which none does (no candidate beside one that does);
@@ -150,6 +151,7 @@ class Effect:
     halo_px: ClassVar[int] = 0
     rare: ClassVar[bool] = False
     step_share: ClassVar[float] = 0.2
+    whole_codes: ClassVar[bool] = False
     needs_previous: ClassVar[bool] = False
     makes_mosaic: ClassVar[bool] = False
     must_not_change: ClassVar[tuple[str, ...]] = ()

@@ -49,6 +49,7 @@ class LinearizationTable(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    whole_codes = True
     order = 10.0
     absent = "files without a table"
     imitated_by = (
@@ -83,6 +84,7 @@ class GainMapApplied(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    whole_codes = True
     order = 20.0
     absent = "untouched raw data"
     imitated_by = (
@@ -113,6 +115,7 @@ class DigitalGain(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    whole_codes = True
     order = 25.0
     absent = "untouched raw data"
     imitated_by = (
@@ -147,6 +150,7 @@ class RawFiltering(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    whole_codes = True
     order = 30.0
     absent = "untouched raw data"
     imitated_by = (
@@ -187,6 +191,7 @@ class LensCorrection(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    whole_codes = True
     order = 35.0
     absent = "untouched raw data"
     imitated_by = (
@@ -231,6 +236,7 @@ class WrongBlackTag(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    whole_codes = True
     order = 40.0
     absent = "files read with the sensor's own black"
     imitated_by = (
@@ -261,6 +267,7 @@ class BlackClip(Effect):
     stage = "file"
     acts_on = "dn"
     gives = "dn"
+    whole_codes = True
     random = "sensor"
     order = 50.0
     absent = "files with a pedestal far above the noise"

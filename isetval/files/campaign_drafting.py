@@ -148,7 +148,7 @@ def _add_plain(
 def _add_light(work: Drafting, name: str, group: ShotGroup, white_dn: float, channel: str = "G") -> DraftLight:
     """A light with the spectrum of its name, scaled so that the camera model sees ``white_dn`` in ``channel`` as the files do."""
     if name not in work.lights:
-        light, spectrum = _unscaled_light(work, name, group)
+        light, spectrum = unscaled_light(work, name, group)
         scale = None
         if work.model is not None and white_dn > 0:
             known = known_exposure(group)
@@ -157,7 +157,7 @@ def _add_light(work: Drafting, name: str, group: ShotGroup, white_dn: float, cha
     return work.lights[name]
 
 
-def _unscaled_light(work: Drafting, name: str, group: ShotGroup) -> tuple[DraftLight, Spectrum]:
+def unscaled_light(work: Drafting, name: str, group: ShotGroup) -> tuple[DraftLight, Spectrum]:
     """The spectrum of a light: measured, in the folder; else a narrow band at the stated wavelength; else the published one."""
     wavelength = group.first.wavelength_nm
     measured = work.folder_spectra.band(wavelength)

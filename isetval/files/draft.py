@@ -11,15 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from isetval.camera.model import CameraModel, same_field
+from isetval.core.campaign import Light
 from isetval.core.errors import InputError
 from isetval.core.scene import read_spectra
 from isetval.core.sensor import Sensor
 from isetval.core.toml import PACKAGE_PREFIX, data_folder
 from isetval.core.writing import write_whole
-from isetval.files.campaign_drafting import Drafting, bracket_scatter, drafted
+from isetval.files.campaign_drafting import Drafting, bracket_scatter, drafted, unscaled_light
+from isetval.files.dng.metadata import UNKNOWN_PITCH_UM
 from isetval.files.draft_priors import camera_words, light_priors, target_priors
 from isetval.files.draft_text import draft_text
 from isetval.files.draft_types import Draft, DraftLight, DraftPrior, DraftShot, Seen
+from isetval.files.drafted_camera import CAMERA, drafted_camera, with_channel_gain
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_reading import FolderFacts, read_folder
 from isetval.files.light_levels import dark_levels, lit_setups
@@ -30,7 +33,6 @@ from isetval.measure.color.chart_layout import PATCH_NAMES
 
 Progress = Callable[[str, int, int], None]
 SCENE_ROLES = ("chart", "edge")
-UNKNOWN_PITCH_UM = 1.0  # what a reader states where a file does not
 
 
 def draft_campaign(
@@ -52,6 +54,7 @@ def draft_campaigns(
         What all files show; default found out for each.
     camera : str, optional
         A camera model: a file in the folder, ``isetval:`` embedded data, or a file elsewhere, of which the sensor is copied.
+        Without one, a model is drafted from the darks and flats of the first visit, where they suffice.
     scene : str, optional
         The scene file (in the folder, or ``isetval:``) of what stands in the pictures of charts and edges: they become shots of
         its rendering, seen from where the camera stood.
@@ -76,7 +79,10 @@ def draft_campaigns(
     for number, part in enumerate(found, 1):
         try:
             models = (model, named or camera, named)
-            drafts.append(_draft(folder, part, role=role, models=models, spectra=spectra, built=built, progress=progress))
+            first = number == 1
+            drafts.append(
+                _draft(folder, part, role=role, models=models, spectra=spectra, built=built, first=first, progress=progress)
+            )
         except InputError as error:  # the first part stands for the folder; another that fails is told with it
             if number == 1:
                 raise
@@ -93,36 +99,55 @@ def _draft(
     models: tuple[CameraModel | None, str, str],
     spectra: FolderSpectra,
     built: BuiltScene | None,
+    first: bool,
     progress: Progress | None,
 ) -> Draft:
     """The campaign of the files of one size of pixels."""
     nominal, camera, named = models
     seen = recognize_all(found, role=role, progress=progress)
     sensor = _sensor(found.facts, nominal, camera)
+    name, made, words = folder.resolve().name, None, ""
+    if not camera and first and (folder / CAMERA).exists():
+        words = f"{CAMERA} lies in the folder and was not asked for: --camera {CAMERA}"
+    elif not camera and first:
+        made, words = drafted_camera(name, sensor, seen, found.captures)
+        nominal, camera, named = (made, CAMERA, CAMERA) if made else (None, "", "")
     model = None if nominal is None else nominal.sampled_as(sensor)
     illuminants = read_spectra(data_folder() / "spectra" / "illuminants.csv")
     work = drafted(seen, sensor, model, illuminants, spectra, without=() if built is None else SCENE_ROLES)
+    made = made and _with_the_flats_color(made, work)
     seen = seen if built is None else _with_scene(work, seen, built)
     used = tuple(replace(one, shots=tuple(work.made.get(i, ()))) for i, one in enumerate(seen))
     if not work.shots:
         raise InputError(f"{folder}: no file shows a dark, a flat, a chart or an edge; the first: {seen[0].content.why}")
     return Draft(
         folder,
-        folder.resolve().name,
+        name,
         sensor,
         named,
         tuple(work.shots),
         tuple(work.targets),
         tuple(work.lights.values()),
         _priors(work, used),
-        tuple(_unknown(work, used, found.facts, camera)),
+        tuple(_unknown(work, used, found.facts, camera, made is not None)),
         tuple(camera_words([one.group for one in used if one.content.role == "dark"], found.captures)),
         used,
         (*found.refused, *(pair for pair in found.captures.skipped if pair not in found.refused)),
-        found.notes,
+        (*found.notes, *([words] if words else [])),
         found.facts[0].camera,
         resampled=nominal is not None and sensor is not nominal.sensor,
+        drafted=made,
     )
+
+
+def _with_the_flats_color(model: CameraModel, work: Drafting) -> CameraModel:
+    """The drafted model with the colour of the brightest flats that are not clipped."""
+    flats = [shot for shot in work.shots if shot.role == "flat" and not shot.group.clipped]
+    if not flats:
+        return model
+    brightest = max(flats, key=lambda shot: shot.group.level_dn)
+    spectrum = unscaled_light(work, brightest.light, brightest.group)[1]
+    return with_channel_gain(model, brightest.group, Light(brightest.light, spectrum))
 
 
 def _with_scene(work: Drafting, seen: Sequence[Seen], built: BuiltScene) -> list[Seen]:
@@ -144,9 +169,12 @@ def write_draft(draft: Draft, folder: Path | str) -> Path:
         If its file exists or cannot be written.
     """
     path = Path(folder) / draft.file
-    for file in (path, path.with_suffix(".html")):  # the page is written next
+    camera = path.with_name(CAMERA)
+    for file in (path, path.with_suffix(".html"), *([camera] if draft.drafted else [])):  # the page is written next
         if file.exists():
             raise InputError(f"{file}: exists already; rename it first (nothing was written)")
+    if draft.drafted is not None:
+        draft.drafted.save(camera)
     write_whole(path, draft_text(draft))
     return path
 
@@ -204,7 +232,9 @@ def _spectrum_words(light: DraftLight) -> str:
     return f"published {light.column}" if light.column != "E" else "equal energy"
 
 
-def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], camera: str) -> list[tuple[str, str, str]]:
+def _unknown(
+    work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], camera: str, estimated: bool
+) -> list[tuple[str, str, str]]:
     """What no file says: what it is, what it needs, what happens without."""
     out = []
     if not camera:
@@ -213,6 +243,10 @@ def _unknown(work: Drafting, seen: Sequence[Seen], facts: Sequence[FileFacts], c
             "isetval campaign init --camera MODEL drafts it so."
         )
         out.append(("camera", needs, "the campaign can be measured, not compared or diagnosed."))
+    if estimated:
+        needs = "the camera's own spectral curves (quantum_efficiency), its lens (cos4, a lens file) and its blur."
+        without = "curves of another camera, in the flats' colour, and no blur stand in: `compare` shows where they fail."
+        out.append((CAMERA, needs, without))
     alike: dict[str, list[str]] = {}
     for light in work.lights.values():
         alike.setdefault(_spectrum_words(light), []).append(f"[light.{light.name}]")

@@ -145,7 +145,9 @@ def camera_words(darks: Sequence[ShotGroup], captures: FileCaptures) -> list[str
             out.append(f"visit {session}: {cut}")
             continue
         window = own[0].first.window
-        frames = [_middle(c) for g in own if g.first.window == window for f in g.files if (c := captures.take("", f)) is not None]
+        frames = [
+            middle_of(c) for g in own if g.first.window == window for f in g.files if (c := captures.take("", f)) is not None
+        ]
         try:
             planes = dark(frames)
         except InputError as error:
@@ -185,7 +187,7 @@ def _blacks(group: ShotGroup) -> tuple[float, ...]:
     return tuple(level for row in group.first.sensor.black_dn for level in row)
 
 
-def _middle(capture: Capture) -> Capture:
+def middle_of(capture: Capture) -> Capture:
     """The middle of a capture: enough pixels for a noise, at its place on the sensor."""
     from dataclasses import replace
 

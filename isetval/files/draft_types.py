@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.camera.model import CameraModel
 from isetval.core.sensor import RoiLike, Sensor, Window
 from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup
@@ -106,7 +107,7 @@ class Draft:
 
     ``unknown`` are (what, what it needs, what happens without it); ``found`` are sentences on what the files say of the
     camera; ``resampled`` that its sensor has larger pixels than the camera's; ``seen`` all groups of files; ``skipped``
-    files that could not be used, with the reason.
+    files that could not be used, with the reason; ``drafted`` a camera made of the files.
     """
 
     folder: Path
@@ -126,6 +127,7 @@ class Draft:
     told: Mapping[str, str] = field(default_factory=dict)
     resampled: bool = False
     number: int = 1
+    drafted: CameraModel | None = None
 
     @property
     def file(self) -> str:

@@ -13,6 +13,8 @@ from isetval.core.sensor import Sensor
 from isetval.core.writing import write_whole
 from isetval.files.emva_datasheet import quantities, recognises
 
+Step = tuple[str, dict[str, Any]]
+
 SYMBOLS = {
     "gain_dn_per_e": ("k",),
     "dark_noise_e": ("sigma_d",),
@@ -58,33 +60,35 @@ def emva_camera(name: str, sensor: Sensor, found: Mapping[str, float], folder: P
     return CameraModel(name, sensor, tuple(make_effect(step, values, name, folder) for step, values in steps))
 
 
-def _steps(found: Mapping[str, float], told: dict[str, str], guessed: dict[str, str]) -> list[tuple[str, dict[str, Any]]]:
-    steps: list[tuple[str, dict[str, Any]]] = [
+def _steps(found: Mapping[str, float], told: dict[str, Any], guessed: dict[str, Any]) -> list[Step]:
+    return [
         ("aperture", {"f_number": 8.0, "source": "stated: EMVA 1288, a disc seen under f/8, no lens"}),
         ("quantum_efficiency", {"file": "qe.csv"} | (told if "qe_percent" in found else guessed)),
         ("cfa", {}),
+        *sensor_steps(found, told),
     ]
-    if "prnu_percent" in found:
-        steps.append(("prnu", {"sigma_percent": found["prnu_percent"]} | told))
-    if "dark_current_e_per_s" in found:
-        steps.append(("dark_current", {"rate_e_per_s": found["dark_current_e_per_s"]} | told))
-    steps.append(("shot_noise", {"source": "law: Poisson statistics"}))
-    if "well_e" in found:
-        steps.append(("full_well", {"well_e": found["well_e"]} | told))
-    if "dsnu_e" in found:
-        steps.append(("dsnu", {"sigma_e": found["dsnu_e"]} | told))
-    steps += [
-        ("read_noise", {"sigma_e": found["dark_noise_e"]} | told),
-        ("conversion_gain", {"gain_dn_per_e": found["gain_dn_per_e"]} | told),
-    ]
-    for key, pattern in (("dsnu_row_e", "row_fpn"), ("dsnu_column_e", "column_fpn")):
-        if key in found:
-            steps.append((pattern, {"sigma_dn": found[key] * found["gain_dn_per_e"]} | told))
-    steps += [
+
+
+def sensor_steps(found: Mapping[str, float], told: Mapping[str, Any]) -> list[Step]:
+    """Effects behind the colour filters, in order, with their parameters; ``told`` is said of each that ``found`` gives."""
+
+    def given(key: str, effect: str, parameter: str, factor: float = 1.0) -> list[Step]:
+        return [(effect, {parameter: found[key] * factor, **told})] if key in found else []
+
+    gain = found["gain_dn_per_e"]
+    return [
+        *given("prnu_percent", "prnu", "sigma_percent"),
+        *given("dark_current_e_per_s", "dark_current", "rate_e_per_s"),
+        ("shot_noise", {"source": "law: Poisson statistics"}),
+        *given("well_e", "full_well", "well_e"),
+        *given("dsnu_e", "dsnu", "sigma_e"),
+        *given("dark_noise_e", "read_noise", "sigma_e"),
+        *given("gain_dn_per_e", "conversion_gain", "gain_dn_per_e"),
+        *given("dsnu_row_e", "row_fpn", "sigma_dn", gain),
+        *given("dsnu_column_e", "column_fpn", "sigma_dn", gain),
         ("black_level", {}),
         ("quantization", {}),
     ]
-    return steps
 
 
 def _qe_table(percent: float | None, sensor: Sensor, source: str, lacking: str) -> str:

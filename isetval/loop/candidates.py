@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise, product
 from typing import Any
 
@@ -36,6 +36,7 @@ class Candidate:
     ``effect`` is the effect at its null (absent) or as it stands in the model (``present``);
     ``parameters`` are those that are freed, ``nominal`` their values in the model.  Candidates of one effect are forms of one
     class (``name`` says which): a hypothesis holds one of them, and ``prior_weight`` is a form's share of the class's odds.
+    ``code_steps`` are what of its parameters, by key, moves the brightest level by one code where it rounds codes anew.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Candidate:
     parameters: tuple[ParameterInfo, ...]
     present: bool
     prior_weight: float = 1.0
+    code_steps: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -215,7 +217,17 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
         for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
             seen = column.any()  # a clip shows nothing in a step that ends above the brightest level: the longer one stays
             columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
+    wanted = [replace(c, code_steps=_code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
+
+
+def _code_steps(problem: Problem, candidate: Candidate, columns: Float) -> dict[str, float]:
+    """What moves the level that moves most by one code (`Candidate.code_steps`)."""
+    if not candidate.effect.whole_codes:
+        return {}
+    levels = np.array([m.unit == "DN" for m in problem.predictor.table.metrics], bool)
+    largest = np.abs(columns[levels]).max(axis=0, initial=0.0)
+    return {key: 1 / float(most) for key, most in zip(candidate.keys, largest, strict=True) if most > 0}
 
 
 def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate, Doubt, Signature
+from isetval.loop.code_stair import CODES, on_lowest_step
 from isetval.loop.fit import MAX_ITERATIONS, Fit, fit, nuisance_parameters
 from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
@@ -107,11 +108,22 @@ def refit(
     """
     free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
     point = _starting_point(nominal, near.fitted.point.values, free, members, start)
-    found = hypothesis(problem, members, fit(problem, point, free, iterations=iterations), rough=not iterations)
+    found = hypothesis(problem, members, fitted_members(problem, members, point, free, iterations), rough=not iterations)
     gain = found.log_evidence - near.log_evidence
     if promised is None or gain > WORTH * (promised - near.log_evidence):
         return found
     return Hypothesis(found.members, found.fitted, promised, found.weighed, {key: start[key] for m in members for key in m.keys})
+
+
+def fitted_members(
+    problem: Problem, members: Sequence[Member], start: Point, free: Sequence[Parameter], iterations: int = MAX_ITERATIONS
+) -> Fit:
+    """A fit of everything free, on the lowest step where members round whole codes anew."""
+    fitted = fit(problem, start, free, iterations=iterations)
+    for member in members if iterations else ():
+        for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
+            fitted = on_lowest_step(problem, fitted, key, code)
+    return fitted
 
 
 def free_parameters(
@@ -171,6 +183,7 @@ def first_steps(candidate: Candidate, values: Mapping[str, float]) -> dict[str, 
     """Finite steps of a candidate's parameters near some values."""
     here = np.array([values[key] for key in candidate.keys])
     steps = np.maximum(candidate.effect.step_share * np.abs(here - candidate.nominal), STEP_SHARE * candidate.tau)
+    steps = np.maximum(steps, [CODES * candidate.code_steps.get(key, 0.0) for key in candidate.keys])
     noise = [candidate.effect.random != "none" and not candidate.effect.rare and p.low == 0.0 for p in candidate.parameters]
     steps = np.where(noise, np.maximum(NOISE_SHARE * np.abs(here), steps), steps)
     return dict(zip(candidate.keys, map(float, steps), strict=True))

@@ -10,8 +10,18 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Candidate, Doubt, Signature
-from isetval.loop.evidence import Hypothesis, Member, first_steps, first_values, hypothesis, linear_model, refit, with_steps
-from isetval.loop.fit import Fit, far_values, fit
+from isetval.loop.evidence import (
+    Hypothesis,
+    Member,
+    first_steps,
+    first_values,
+    fitted_members,
+    hypothesis,
+    linear_model,
+    refit,
+    with_steps,
+)
+from isetval.loop.fit import Fit, far_values
 from isetval.loop.gaussian import log_volume
 from isetval.loop.posterior import NOTHING, Names, Posterior
 from isetval.loop.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
@@ -201,7 +211,7 @@ def _at_its_own_weights(case: Investigation, found: Hypothesis) -> Hypothesis:
     problem = case.prepared.problem_for(model, values=far_values(found.fitted))
     problem.columns.update(case.problem.columns)
     free = with_steps(found.fitted.free, found.members, found.values)
-    fitted = fit(problem, Point(model, found.fitted.point.values), free)
+    fitted = fitted_members(problem, found.members, Point(model, found.fitted.point.values), free)
     own = hypothesis(problem, found.members, fitted)
     common = np.intersect1d(problem.keep, case.problem.keep)
     wider = [log_volume(p.covariance[np.ix_(common, common)]) for p in (problem, case.problem)]
@@ -257,7 +267,8 @@ def rebase(case: Investigation, say: Say) -> None:
         problem.columns.update(case.problem.columns)
         case.problem = problem
         free = with_steps(before.free, standing.members, case.standing.values)
-        case.standing = hypothesis(problem, standing.members, fit(problem, Point(model, before.point.values), free))
+        fitted = fitted_members(problem, standing.members, Point(model, before.point.values), free)
+        case.standing = hypothesis(problem, standing.members, fitted)
         if all(_shift(before, case.fitted, key) < STANDS for key in keys):
             break
     case.known, case.told = {case.standing.names: case.standing}, {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,23 +10,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import content_hash
 from isetval.core.signal import Transfer
 
 Float = NDArray[np.float64]
 HALO_PX = 96
 EDGE_NODE_NM = 50.0
-PICTURE_NODE_NM = 120.0
+TRANSFER_TOLERANCE = 5e-4
+"""Largest error of a transfer function between its nodes, at any frequency: at a step it leaves less than 2e-4 of the step."""
+COUNTS = (1, 2, 3, 4, 5, 7, 9, 13, 17, 25)
 TOLERANCE = 1e-4
-KEEP = 12
-_BLURRED: OrderedDict[bytes, Float] = OrderedDict()
-_LABELLED: OrderedDict[bytes, SpectralPicture] = OrderedDict()
+KEEP_BYTES = 300_000_000  # of each kind, in each process: five windows of a rendered chart
+_BLURRED: OrderedDict[str, Float] = OrderedDict()
+_LABELLED: OrderedDict[str, SpectralPicture] = OrderedDict()
+# frequencies at which a transfer function is looked at, in cycles per sample: along both axes and both diagonals
+_PROBE: Float = np.linspace(1 / 24, 0.5, 12)
+PROBE_X: Float = np.concatenate([_PROBE, 0 * _PROBE, _PROBE, -_PROBE])
+PROBE_Y: Float = np.concatenate([0 * _PROBE, _PROBE, _PROBE, _PROBE])
 
 
-def _keep(cache: OrderedDict[bytes, Any], key: bytes, value: Any) -> None:
-    """Enter a value; the oldest leaves."""
-    while len(cache) >= KEEP:
-        cache.popitem(last=False)
+def keep(cache: OrderedDict[str, Any], key: str, value: Any) -> None:
+    """Enter a value with ``nbytes``; the oldest leave while all together are too large."""
     cache[key] = value
+    while len(cache) > 1 and sum(one.nbytes for one in cache.values()) > KEEP_BYTES:
+        cache.popitem(last=False)
 
 
 def wavelength_nodes(wavelength_nm: Float, *, apart_nm: float = EDGE_NODE_NM) -> tuple[Float, Float]:
@@ -41,83 +47,123 @@ def wavelength_nodes(wavelength_nm: Float, *, apart_nm: float = EDGE_NODE_NM) ->
     return nodes, np.array([np.interp(wavelength_nm, nodes, unit) for unit in np.eye(count)])
 
 
+def transfer_nodes(probe: Float, wavelength_nm: Float) -> tuple[Float, Float]:
+    """Nodes of a transfer function in wavelength and the weights (nodes, bands) of the polynomial through them.
+
+    Chebyshev's extrema between the ends of the grid, as many as it takes for `TRANSFER_TOLERANCE` at every band and
+    every frequency of ``probe`` (frequencies, bands), its values on the rising grid; at worst the bands themselves.
+    """
+    low, high = wavelength_nm[[0, -1]]
+    unit = np.zeros(1) if low == high else (2 * wavelength_nm - low - high) / (high - low)
+    for count in COUNTS:
+        if count >= wavelength_nm.size:
+            break
+        index = np.unique(np.searchsorted(unit, -np.cos(np.pi * np.arange(count) / max(1, count - 1)) - 1e-9))
+        at = unit[index] if count > 1 else unit[[unit.size // 2]]
+        powers = np.polynomial.chebyshev.chebvander
+        weights = np.linalg.solve(powers(at, at.size - 1).T, powers(unit, at.size - 1).T)
+        places = np.searchsorted(unit, at)
+        if np.abs(probe[:, places] @ weights - probe).max() <= TRANSFER_TOLERANCE:
+            return wavelength_nm[places], weights
+    return wavelength_nm, np.eye(wavelength_nm.size)
+
+
 @dataclass(frozen=True, eq=False)
 class SpectralPicture:
     """A relative picture (bands, rows, cols) with a halo, given by few spatial parts.
 
-    ``spectra`` is (bands, parts) and ``parts`` (parts, rows + 2 halo, cols + 2 halo): the picture is
-    their product.  Blur is a product in the Fourier domain; the transfer function is sampled at nodes
-    `PICTURE_NODE_NM` apart and interpolated linearly in between: inside a patch blur is a tail of a
-    percent, of which the interpolation leaves less than a hundredth.  The last pictures are kept, by
-    their content and by samples of the transfer function: effects that do not blur cost nothing.
+    ``spectra`` is (bands, parts) and ``parts`` (parts, rows, cols), ``subsample`` times finer than the pixels and with a
+    margin of ``halo`` pixels: the picture is their product.  ``averaged`` says that a sample is the mean over its cell and
+    not the value at its middle.  Blur is a product in the Fourier domain; the transfer function is taken at the few
+    wavelengths of `transfer_nodes` within the band of each part.  The last pictures are kept, by their content and by
+    samples of the transfer function: effects that do not blur cost nothing.
     """
 
     spectra: Float
-    parts: Float
+    parts: NDArray[np.floating[Any]]
     halo: int
-
-    @classmethod
-    def of(cls, picture: Float, halo: int) -> SpectralPicture:
-        """A picture (bands, rows + 2 halo, cols + 2 halo) by its singular vectors."""
-        bands = len(picture)
-        u, s, vt = np.linalg.svd(picture.reshape(bands, -1), full_matrices=False)
-        rank = max(1, int(np.sum(s > TOLERANCE * s[0])))
-        return cls(u[:, :rank] * s[:rank], vt[:rank].reshape(rank, *picture.shape[1:]), halo)
+    subsample: int = 1
+    averaged: bool = False
 
     @classmethod
     def of_labels(cls, label: NDArray[np.intp], spectra: Float, halo: int) -> SpectralPicture:
         """A picture of uniform regions: ``label`` (rows, cols) picks a column of ``spectra`` (bands, labels)."""
-        key = hashlib.sha256(repr((label.shape, spectra.shape, halo)).encode() + label.tobytes() + spectra.tobytes()).digest()
+        key = content_hash((label, spectra, halo))
         if key not in _LABELLED:
             u, s, vt = np.linalg.svd(spectra, full_matrices=False)
             rank = max(1, int(np.sum(s > TOLERANCE * s[0])))
-            _keep(_LABELLED, key, cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo))
+            keep(_LABELLED, key, cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo))
         return _LABELLED[key]
 
+    @property
+    def nbytes(self) -> int:
+        """Of the parts."""
+        return self.parts.nbytes
+
     @cached_property
-    def digest(self) -> bytes:
+    def digest(self) -> str:
         """Of the parts: computed once, they are tens of megabytes."""
-        return hashlib.sha256(self.parts.tobytes()).digest()
+        return content_hash((self.parts, self.halo, self.subsample, self.averaged))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns in pixels, without the margin."""
+        rows, cols = (n // self.subsample - 2 * self.halo for n in self.parts.shape[1:])
+        return rows, cols
 
     def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
-        """The blurred picture times ``amplitude``, (bands, rows, cols)."""
-        inside = slice(self.halo, -self.halo or None)
+        """The blurred picture times ``amplitude``, (bands, rows, cols); without a transfer function, the mean over each pixel."""
         if transfer is None or wavelength_nm is None:
-            parts = self.parts[:, inside, inside]
-            return np.asarray(amplitude * np.tensordot(self.spectra, parts, axes=(1, 0)))
-        nodes, weights = wavelength_nodes(wavelength_nm, apart_nm=PICTURE_NODE_NM)
-        blurred = self._remembered(transfer, nodes, inside)
-        mix = (weights.T[:, :, None] * self.spectra[:, None, :]).reshape(wavelength_nm.size, -1)
-        rows, cols = blurred.shape[-2:]
-        return np.asarray(amplitude * (mix @ blurred.reshape(mix.shape[1], -1)).reshape(-1, rows, cols))
+            mix, parts = self.spectra, self._binned()
+        else:
+            mix, parts = self._blurred(transfer, wavelength_nm)
+        return np.asarray(amplitude * (mix @ parts.reshape(len(parts), -1)).reshape(-1, *self.shape))
 
-    def _remembered(self, transfer: Transfer, nodes: Float, inside: slice) -> Float:
-        probe = np.linspace(-0.5, 0.5, 23)
-        samples = [np.asarray(transfer(probe[:, None], probe[None, ::2], np.array(node))) for node in nodes[[0, -1]]]
-        digest = hashlib.sha256(self.digest)
-        for sample in samples:
-            digest.update(np.round(np.asarray(sample, complex), 12).tobytes())
-        key = digest.digest()
+    def _binned(self) -> Float:
+        (rows, cols), s, edge = self.shape, self.subsample, self.halo * self.subsample
+        inner = self.parts[:, edge : edge + rows * s, edge : edge + cols * s]
+        return np.asarray(inner.reshape(-1, rows, s, cols, s).mean(axis=(2, 4), dtype=float))
+
+    def _blurred(self, transfer: Transfer, wavelength_nm: Float) -> tuple[Float, Float]:
+        """Each part at each of its nodes, (pictures, rows, cols), and the spectra (bands, pictures) that mix them."""
+        s = self.subsample
+        probe = np.asarray(transfer(PROBE_X[:, None] * s, PROBE_Y[:, None] * s, wavelength_nm))
+        probe = np.broadcast_to(probe, (PROBE_X.size, wavelength_nm.size))
+        mix, wanted = [], []
+        for part, spectrum in enumerate(self.spectra.T):
+            seen = np.flatnonzero(spectrum)
+            near = slice(max(0, seen[0] - 1), seen[-1] + 2) if seen.size else slice(0, 1)
+            nodes, weights = transfer_nodes(probe[:, near], wavelength_nm[near])
+            wanted += [(part, node) for node in nodes]
+            share = np.zeros((nodes.size, wavelength_nm.size))
+            share[:, near] = weights * spectrum[near]
+            mix.append(share)
+        key = content_hash((self.digest, np.round(probe.astype(complex), 12), wanted))
         if key not in _BLURRED:
-            _keep(_BLURRED, key, self._blurred(transfer, nodes, inside))
+            keep(_BLURRED, key, self._filtered(transfer, wanted))
         _BLURRED.move_to_end(key)
-        return _BLURRED[key]
+        return np.concatenate(mix).T, _BLURRED[key]
 
-    def _blurred(self, transfer: Transfer, nodes: Float, inside: slice) -> Float:
-        """Parts at the nodes, (nodes, parts, rows, cols)."""
+    def _filtered(self, transfer: Transfer, wanted: list[tuple[int, float]]) -> Float:
+        """Parts behind the transfer function of a wavelength, (pictures, rows, cols), at the middles of the pixels."""
         from scipy import fft
 
-        shape = tuple(fft.next_fast_len(n, real=True) for n in self.parts.shape[1:])
-        padded = np.pad(
-            self.parts, [(0, 0), *((0, n - m) for n, m in zip(shape, self.parts.shape[1:], strict=True))], mode="edge"
-        )
-        spectrum = fft.rfft2(padded)
-        fy: Float = np.asarray(np.fft.fftfreq(shape[0]))[:, None]
-        fx: Float = np.asarray(np.fft.rfftfreq(shape[1]))[None, :]
-        out: list[Any] = []
-        for node in nodes:
-            otf = np.asarray(transfer(fx, fy, np.array(node)))
-            picture = fft.irfft2(spectrum * otf, shape)
-            rows, cols = self.parts.shape[1:]
-            out.append(picture[:, :rows, :cols][:, inside, inside])
-        return np.array(out)
+        s, edge = self.subsample, self.halo * self.subsample
+        size = [s * fft.next_fast_len(-(-n // s), real=True) for n in self.parts.shape[1:]]
+        wider = [(0, n - m) for n, m in zip(size, self.parts.shape[1:], strict=True)]
+        fy: Float = np.asarray(np.fft.fftfreq(size[0], 1 / s))[:, None]
+        fx: Float = np.asarray(np.fft.rfftfreq(size[1], 1 / s))[None, :]
+        spectra: dict[int, Any] = {}
+        optics: dict[float, Any] = {}
+        out = np.empty((len(wanted), *self.shape))
+        place: Any = 1.0
+        if self.averaged:  # to the pixel's middle, half a pixel less half a sample on; less what the samples' own size blurs
+            place = np.exp(1j * np.pi * (1 - 1 / s) * (fx + fy)) / (np.sinc(fx / s) * np.sinc(fy / s))
+        for i, (part, node) in enumerate(wanted):
+            if part not in spectra:
+                spectra = {part: fft.rfft2(np.pad(self.parts[part].astype(float), wider, mode="edge")) * place}
+            if node not in optics:
+                optics[node] = np.asarray(transfer(fx, fy, np.array(node)))
+            seen = fft.irfft2(spectra[part] * optics[node], size)
+            out[i] = seen[edge : edge + self.shape[0] * s : s, edge : edge + self.shape[1] * s : s]
+        return out

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,19 +22,19 @@ from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget, Scene, Spectrum
 from isetval.core.signal import Layer, Signal, Transfer
+from isetval.scenes.pictures import SpectralPicture, keep
 from isetval.scenes.planar import shifted, target_field
 from isetval.scenes.rendered.accumulation import Progress, Render
 from isetval.scenes.rendered.box import turned_up
 from isetval.scenes.rendered.lens_view import LensView, pupil_camera, pupil_crop
-from isetval.scenes.rendered.rendering import render
+from isetval.scenes.rendered.rendering import render, scene_content
 from isetval.scenes.rendered.scene_file import LoadedScene, parse_scene
 from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
 
 Float = NDArray[np.float64]
 FINE_PX = 2_000_000
 COARSE_PX = 64
-KEEP = 8  # pictures behind a lens that are kept: a diagnosis asks for the same few again and again
-_IMAGED: OrderedDict[str, Picture] = OrderedDict()
+_PICTURES: OrderedDict[str, SpectralPicture] = OrderedDict()  # a diagnosis asks for the same few again and again
 
 
 def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | None = None, draw: int | None = None) -> Signal:
@@ -142,32 +142,46 @@ class RenderedScene:
     draw: int | None = None
 
     def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
-        """The picture of the pinhole, blurred and sampled; see `Picture.sample`."""
+        """The picture of the pinhole, blurred and sampled; see `SpectralPicture.sample`."""
         return self.pinhole.sample(amplitude, transfer, wavelength_nm)
 
-    @cached_property
-    def pinhole(self) -> Picture:
+    @property
+    def pinhole(self) -> SpectralPicture:
         """The scene file's own camera, finer than the sensor's pixels."""
-        return Picture(self._rendered(self.camera, self._crop), self.subsample, self.halo_px)
+        return self._kept((), lambda: self.render().radiance)
 
-    def through(self, view: LensView) -> Picture:
+    def render(self) -> Render:
+        """The transport that the pinhole sees, with its error."""
+        return self._rendered(self.camera, self._crop)
+
+    def through(self, view: LensView) -> SpectralPicture:
         """Irradiance behind a lens per unit radiance of the lamp: warped, blurred by depth and field, lit as the lens does.
 
         Rendered from the lens's entrance pupil; `isetval.scenes.through_lens.image_space` on the finer grid.
         """
+        from isetval.lens.field_table import lens_hash
+        from isetval.lens.tracing import TracedLens
         from isetval.scenes.through_lens.image_space import image_space_irradiance
 
-        halo = self.halo_px * self.subsample
-        crop = pupil_crop(view, self.camera, self._crop, subsample=1, halo_px=halo)
-        made = self._rendered(pupil_camera(view, self.camera), crop)
-        place = (view.film_mm, view.slope, view.crossing_mm, self.camera, self._crop)
-        key = content_hash((made.radiance, made.depth_m, view.lens.name, place))
-        if key not in _IMAGED:
-            seen = image_space_irradiance(made, view, camera=self.camera, crop=self._crop, subsample=1, halo_px=halo)
-            while len(_IMAGED) >= KEEP:
-                _IMAGED.popitem(last=False)
-            _IMAGED[key] = Picture(replace(made, radiance=seen.irradiance, crop=self._crop), self.subsample, self.halo_px)
-        return _IMAGED[key]
+        def imaged() -> NDArray[np.float32]:
+            halo = self.halo_px * self.subsample
+            crop = pupil_crop(view, self.camera, self._crop, subsample=1, halo_px=halo)
+            made = self._rendered(pupil_camera(view, self.camera), crop)
+            return image_space_irradiance(made, view, camera=self.camera, crop=self._crop, subsample=1, halo_px=halo).irradiance
+
+        return self._kept((lens_hash(cast(TracedLens, view.lens)), view.film_mm), imaged)
+
+    def _kept(self, view: tuple[Any, ...], make: Callable[[], NDArray[np.float32]]) -> SpectralPicture:
+        """The picture (bands, rows, cols) of this scene on the finer grid, made once and kept in memory."""
+        bands, settings = _bands(self.loaded, self.scene), self.loaded.settings
+        render = (settings["spp"], settings["seed"], settings["variant"], self.loaded.spec["bounces"], self.scene.bounce)
+        made_of = (scene_content(self.loaded.spec, self.camera), bands, render, self.draw, self._crop, view)
+        key = content_hash((made_of, self.scene.wavelength_nm, self.halo_px, self.subsample))
+        if key not in _PICTURES:
+            spectra = np.array([np.interp(self.scene.wavelength_nm, bands, row) for row in np.eye(bands.size)]).T
+            keep(_PICTURES, key, SpectralPicture(spectra, make(), self.halo_px, self.subsample, averaged=True))
+        _PICTURES.move_to_end(key)
+        return _PICTURES[key]
 
     @property
     def subsample(self) -> int:
@@ -225,38 +239,3 @@ def fine_camera(camera: Any, context: Context, *, subsample: int, halo_px: int) 
         "rows": (sensor.rows + 2 * halo_px) * subsample,
         "cols": (sensor.cols + 2 * halo_px) * subsample,
     }
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A render ``subsample`` times finer than the pixels, with a margin of ``halo_px``: sharp detail of a scene."""
-
-    render: Render
-    subsample: int
-    halo_px: int
-
-    def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
-        """The blurred picture at the pixels' middles times ``amplitude``, (bands, rows, cols).
-
-        Without a transfer function, the mean over each pixel.
-        """
-        grid = np.array([550.0]) if wavelength_nm is None else wavelength_nm
-        fine = self.render.radiance
-        s, halo = self.subsample, self.halo_px
-        shape = tuple(n // s - 2 * halo for n in fine.shape[1:])
-        weights = np.array([np.interp(grid, self.render.wavelength_nm, row) for row in np.eye(len(fine))]).T
-        out = np.empty((grid.size, *shape))
-        if transfer is None:
-            inner = fine[:, halo * s : fine.shape[1] - halo * s, halo * s : fine.shape[2] - halo * s]
-            binned = inner.reshape(len(fine), shape[0], s, shape[1], s).mean(axis=(2, 4), dtype=float)
-            return np.asarray(amplitude * np.tensordot(weights, binned, 1))
-        spectra = np.fft.rfft2(fine.astype(float))
-        fy = np.asarray(np.fft.fftfreq(fine.shape[1], 1 / s), float)[:, None]
-        fx = np.asarray(np.fft.rfftfreq(fine.shape[2], 1 / s), float)[None, :]
-        # to the pixel's middle, half a pixel less half a fine sample on; and what the fine samples' own size blurs
-        shift = np.exp(1j * np.pi * (1 - 1 / s) * (fx + fy)) / (np.sinc(fx / s) * np.sinc(fy / s))
-        for i, wavelength in enumerate(grid):
-            otf = np.asarray(transfer(fx, fy, np.array(wavelength)))
-            picture = np.fft.irfft2(np.tensordot(weights[i], spectra, 1) * otf * shift, s=fine.shape[1:])
-            out[i] = picture[halo * s : fine.shape[1] - halo * s : s, halo * s : fine.shape[2] - halo * s : s]
-        return np.asarray(amplitude * out)

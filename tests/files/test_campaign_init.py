@@ -264,6 +264,50 @@ def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_
     assert abs((col - 300) * np.cos(np.radians(5)) - (row - 400) * np.sin(np.radians(5))) < 0.3
 
 
+MADE = {"conversion_gain": 0.25, "read_noise": 6.0, "dark_current": 8.0}
+
+
+def _electrons_of_a_lab(folder, *, flats):
+    """Darks of three times and an even series in three colours of light, by other code: gain .25, 6 e- rms, 8 e-/s."""
+    color = np.array([[0.6, 1.0], [1.0, 1.5]])  # red, green, green, blue
+    plane = np.tile(color, (80, 100))
+    for k, time_s in enumerate((0.01, 0.5, 3.0)):
+        for i in range(4):
+            _write(folder / "cap" / f"{k}{i}.dng", np.full(plane.shape, 8.0 * time_s), time_s, 10 * k + i)
+    for k, electrons in enumerate(flats):
+        for i in range(2):
+            _write(folder / "sphere" / f"{k}{i}.dng", electrons * plane, electrons * 2e-5, 100 + 10 * k + i)
+
+
+def test_a_folder_without_a_camera_gets_one_from_its_darks_and_flats(tmp_path, capsys):
+    _electrons_of_a_lab(tmp_path, flats=(100.0, 300.0, 900.0, 2000.0))
+    assert main(["campaign", "init", str(tmp_path)]) == 0
+    assert f"next: isetval compare {tmp_path / 'camera.toml'} {tmp_path}" in capsys.readouterr().out
+    model, campaign = isetval.load_model(tmp_path / "camera.toml"), isetval.load_campaign(tmp_path)
+    assert campaign.camera == "camera.toml"
+    for name, planted in MADE.items():
+        effect = model.effect(name)
+        assert next(iter(effect.values().values())) == pytest.approx(planted, rel=0.02)
+        assert effect.fitted_to == (f"{tmp_path.name}/A",)
+    table = isetval.compare(model, campaign, jobs=1).ladder
+    flats = next(row for row in table if row.family == "flat_mean")  # the colour of the light is taken over
+    assert flats.rms_relative_error < 0.01
+    assert flats.role == "calibration"
+
+
+def test_no_camera_is_made_of_too_little_and_none_is_overwritten(tmp_path, capsys):
+    _electrons_of_a_lab(tmp_path, flats=(300.0, 900.0))
+    assert main(["campaign", "init", str(tmp_path)]) == 0
+    assert "no camera model could be drafted: it takes two darks" in capsys.readouterr().out
+    assert not (tmp_path / "camera.toml").exists()
+    (tmp_path / "campaign.toml").unlink()
+    (tmp_path / "campaign.html").unlink()
+    (tmp_path / "camera.toml").write_text("mine")
+    assert main(["campaign", "init", str(tmp_path)]) == 0
+    assert "--camera camera.toml" in capsys.readouterr().out
+    assert (tmp_path / "camera.toml").read_text() == "mine"
+
+
 def test_a_folder_in_which_all_lie_together_is_told_apart_by_content(tmp_path):
     y, x = np.mgrid[0:120, 0:120]
     edge = np.where((x - 60) * np.cos(0.09) - (y - 60) * np.sin(0.09) < 0, 200.0, 2500.0)

@@ -15,6 +15,7 @@ from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
+from isetval.effects.pupil import CircularPupil
 from isetval.loop.score_test import Frame, cosine, score
 from isetval.scenes.pictures import SpectralPicture
 from isetval.scenes.planar import StraightEdge
@@ -60,6 +61,28 @@ def test_blurred_picture_keeps_the_mean_and_follows_the_edge():
     x = np.arange(20, 60) - 39.5
     exact = 0.2 + 0.6 * 0.5 * (1 + erf(x / np.sqrt(2)))
     assert np.abs(values[0, 20] - exact).max() < 0.02  # a pixel-sharp label edge sits half a pixel either way
+
+
+@pytest.mark.parametrize("focus_um", [0.0, 12.0])
+@pytest.mark.parametrize("subsample", [1, 2])
+def test_few_wavelengths_of_the_lens_are_within_2e_4_of_a_step_of_all(focus_um, subsample):
+    """A step and a line in nine bands, behind a pupil that is coloured: each band through its own transfer function is exact."""
+    grid, s, halo = np.arange(380.0, 741.0, 5.0), subsample, 12
+    parts = np.zeros((9, 64 * s, 70 * s))
+    parts[:, :, 35 * s :] = np.linspace(0.2, 1, 9)[:, None, None]
+    parts[4:, 32 * s : 33 * s, 20 * s :] += 0.5
+    spectra = np.array([np.interp(grid, np.linspace(380, 740, 9), unit) for unit in np.eye(9)]).T
+    picture = SpectralPicture(spectra, parts, halo, s, averaged=True)
+    pupil = CircularPupil(1.8, 1.4, diffraction_f_number=1.8, focus_um=focus_um, red_um=2.0, blue_um=-2.0)
+
+    def transfer(fx, fy, wavelength_nm):
+        return pupil.transfer(fx, fy, wavelength_nm) * np.sinc(fx) * np.sinc(fy)
+
+    found = picture.sample(np.ones((grid.size, 1, 1)), transfer, grid)
+    for i, wavelength in enumerate(grid):
+        alone = SpectralPicture(spectra[[i]], parts, halo, s, averaged=True)
+        exact = alone.sample(np.ones((1, 1, 1)), transfer, np.array([wavelength]))
+        assert np.abs(found[i] - exact[0]).max() < 2e-4
 
 
 def test_same_seed_same_bits_and_a_further_effect_leaves_the_other_noise(model):

@@ -13,10 +13,10 @@ from isetval.core.sensor import Sensor
 from isetval.effects.ray_transfer import RayTransfer
 from isetval.lens import default_lens
 from isetval.lens.focus import film_for_object
-from isetval.scenes.rendered.accumulation import Render
+from isetval.scenes.pictures import SpectralPicture
 from isetval.scenes.rendered.lens_view import lens_view
 from isetval.scenes.rendered.own_spectra import lamp
-from isetval.scenes.rendered_target import Picture, rendered_mean, rendered_radiance
+from isetval.scenes.rendered_target import rendered_mean, rendered_radiance
 
 pytestmark = pytest.mark.mitsuba
 GRID = np.arange(450.0, 651.0, 25.0)
@@ -95,8 +95,8 @@ def test_a_picture_is_blurred_and_sampled_at_the_middles_of_pixels(subsample):
         return np.diff(np.exp(2j * np.pi * f * edges)) / (2j * np.pi * f * np.diff(edges))
 
     fine = 1 + 0.5 * np.real(mean(edge_y, fy)[:, None] * mean(edge_x, fx))
-    made = Render(np.stack([fine, 2 * fine]).astype(np.float32), fine, fine, np.array([500.0, 600.0]), (0, 0, 0, 0))
-    picture = Picture(made, s, halo)
+    spectra = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])
+    picture = SpectralPicture(spectra, np.stack([fine, 2 * fine]).astype(np.float32), halo, s, averaged=True)
 
     def transfer(u, v, wavelength_nm):
         return np.sinc(u) * np.sinc(v) * np.exp(-3 * (u**2 + v**2))
@@ -107,7 +107,7 @@ def test_a_picture_is_blurred_and_sampled_at_the_middles_of_pixels(subsample):
     found = picture.sample(np.ones((3, 1, 1)), transfer, np.array([500.0, 550.0, 600.0]))
     for factor, band in zip((1.0, 1.5, 2.0), found, strict=True):
         np.testing.assert_allclose(band, factor * expected, atol=2e-6)  # float32 pictures
-    sharp = picture.sample(np.ones((1, 1, 1)), None, np.array([500.0]))
+    sharp = picture.sample(np.ones((1, 1, 1)), None, np.array([500.0, 550.0, 600.0]))
     np.testing.assert_allclose(sharp[0], 1 + 0.5 * np.sinc(fx) * np.sinc(fy) * wave, atol=2e-6)
 
 
@@ -145,7 +145,7 @@ def test_a_lens_file_images_a_rendered_scene_as_its_pinhole_picture_times_its_li
     wanted = sharp.values * 2.0 * lens.irradiance_factor(x, y, film_mm=film)
     found = replace(out, pupil=None).values  # means over pixels, as those of the pinhole
     # two renders with noise of their own; the rest for what blur and distortion move over the border
-    made = sharp.layers[0].structure.pinhole.render
+    made = sharp.layers[0].structure.render()
     noise = np.sqrt(made.variance[0].sum(dtype=float)) / made.radiance[0].sum(dtype=float)
     np.testing.assert_allclose(found.mean(axis=(1, 2)) / wanted.mean(axis=(1, 2)), 1.0, atol=4 * np.sqrt(2) * noise + 2e-3)
     assert noise < 0.01

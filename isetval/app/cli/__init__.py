@@ -93,7 +93,7 @@ def _run(args: argparse.Namespace, words: list[str], console: Console) -> int:
     console.show(outcome.lines)
     _print_json(args, result)
     if getattr(args, "open", False):
-        _open(args.output if args.writes_result else outcome.result.get("page") or outcome.result.get("report"))
+        _open(outcome.result.get("page") or outcome.result.get("report") or args.output)
     return outcome.code
 
 

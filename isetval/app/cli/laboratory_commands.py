@@ -76,7 +76,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         "finds the camera's pose in it",
     )
     p.add_argument("--open", action="store_true", help="open the page with the pictures of what was found")
-    p.set_defaults(handler=campaign_init, writes_result=False)
+    p.set_defaults(handler=campaign_init, writes_result=True)
     p = actions.add_parser(
         "check", parents=[common], help="what a campaign would measure now", description=campaign_check.__doc__
     )
@@ -162,6 +162,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     """Group and register the raw files of a folder into a campaign.toml that runs at once; campaign.html shows what was found."""
     from isetval.app.report.campaign_page import write_campaign_page
     from isetval.core.cache import file_hash
+    from isetval.core.toml import PACKAGE_PREFIX
     from isetval.files.draft import draft_campaigns, write_draft
     from isetval.files.draft_text import sentences
     from isetval.files.emva_descriptor import find_emva_descriptor
@@ -187,6 +188,9 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     lines += left_out_lines(draft.skipped)
     lines += [f"note: {note}" for note in draft.notes]
     lines.append(f"next: isetval measure {args.folder}")
+    if draft.camera:
+        model = draft.camera if draft.camera.startswith(PACKAGE_PREFIX) else args.folder / draft.camera
+        lines.append(f"next: isetval compare {model} {args.folder}")
     result = {
         "kind": "campaign init",
         "file": made[0][0],

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, plane_view
@@ -16,12 +18,14 @@ from isetval.measure.conditions import metric, shot_conditions, window_label
 from isetval.measure.noise.code_counts import code_counts
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics, frame_drift, tilt_power
 
+Float = NDArray[np.float64]
 ROLES = ("dark", "flat")
 DRAWS = {"dark": 12, "flat": 4}
 """Specimens over which differences of a rare pattern are averaged: a few hot pixels scatter by 1/sqrt(draws); a dark costs a
 tenth of a flat."""
 PLATEAU_SIGMA_DN = 0.3  # a clipped plane has no noise of its own: rounding
 LEAST_FRAMES = 4  # for a drift: with fewer the scatter about it is not known at all
+MOST_ALIKE = 0.99  # correlation that is stated at most: beyond it one row's rounding would decide a difference
 SATURATED = 0.5  # of the pixels clipped: what is left is no distribution
 TOUCHED = 1e-3  # of the pixels clipped: beyond it the variance is biased by more than its sigma
 QUANTITIES = {
@@ -93,11 +97,47 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
             for row, common in _counts(shot, conditions, plane, plane_statistics):
                 shared.setdefault(f"{shot.role}:defects:{plane}:{window_label(shot)}", []).append((len(rows), common))
                 rows.append(row)
+    whole = [statistics[plane] for plane in statistics if plane != "mosaic"]
+    if not any(_clipped(captures, part.plane) > TOUCHED for part in whole):
+        for row, of_specimen in _pattern_neighbors(shot, conditions, whole):
+            shared.setdefault(f"{shot.role}:pattern:{row.region}:{window_label(shot)}", []).append((len(rows), of_specimen))
+            rows.append(row)
     correlation = np.eye(len(rows))
     for plane, here, there in links:
         correlation[np.ix_(here, here)] = statistics[plane].correlation[np.ix_(there, there)]
+    _share_row_noise(correlation, rows, captures[0], statistics)
     columns = {label: _column(entries, len(rows)) for label, entries in shared.items()}
     return Block(tuple(rows), correlation, columns, differences=Differences(draws=DRAWS[shot.role]))
+
+
+def _share_row_noise(
+    correlation: Float, rows: Sequence[Metric], capture: Capture, statistics: Mapping[str, PlaneStatistics]
+) -> None:
+    """Correlate, in place, what row noise gives the two planes that lie on the same mosaic rows.
+
+    Row means of the planes go together by r = V_row / (V_row + V_pixel / cols) each: so do their means, rises and drifts, and
+    their squares (variances of row means) by the product.
+    """
+    place = {(row.name, row.region, row.channel): i for i, row in enumerate(rows)}
+    for a, b in combinations([plane for plane in statistics if plane != "mosaic"], 2):
+        (first, at_a, _), (second, at_b, _) = plane_view(capture, a), plane_view(capture, b)
+        if at_a[0] != at_b[0]:
+            continue
+        ours = [statistics[plane]["row_temporal_variance_dn2"].value for plane in (a, b)]
+        common = max(sum(ours) / 2, 0.0)
+        pixel = [statistics[p]["temporal_variance_dn2"].value / view.shape[1] for p, view in ((a, first), (b, second))]
+        if not (common > 0 and min(pixel) > 0):
+            continue
+        r = min(common / math.sqrt((common + pixel[0]) * (common + pixel[1])), MOST_ALIKE)
+        for name, region, value in (
+            ("mean", "", r),
+            ("gradient", "row", r),
+            ("frame_drift", "", r),
+            ("row_noise_variance", "", r * r),
+        ):
+            i, j = place.get((name, region, a)), place.get((name, region, b))
+            if i is not None and j is not None:
+                correlation[i, j] = correlation[j, i] = value
 
 
 def _drift(shot: Shot, conditions: dict[str, Any], statistics: PlaneStatistics) -> list[Metric]:
@@ -137,10 +177,26 @@ def _neighbors(shot: Shot, conditions: dict[str, Any], statistics: PlaneStatisti
     return rows
 
 
+def _pattern_neighbors(shot: Shot, conditions: dict[str, Any], planes: Sequence[PlaneStatistics]) -> list[tuple[Metric, float]]:
+    """Neighbor covariance of the fixed pattern, mean over the planes, per direction, with the specimen's part of its sigma.
+
+    0 where pixels differ each by itself: marks of the wafer, polish or a cover glass have a size, and show here only.
+    """
+    rows = []
+    for direction in ("h", "v"):
+        pooled = _mean([part[f"fixed_covariance_{direction}_dn2"] for part in planes])
+        if math.isfinite(pooled.value) and pooled.total_sigma > 0:
+            name, family = "fixed_neighbour_covariance", f"{shot.role}_fixed_neighbour_covariance"
+            rows.append(
+                (metric(conditions, name, pooled.value, pooled.sigma, "DN^2", region=direction, family=family), pooled.shared)
+            )
+    return rows
+
+
 def _mean(parts: Sequence[Quantity]) -> Quantity:
     n = max(len(parts), 1)
-    sigma = math.sqrt(sum(part.sigma**2 for part in parts)) / n
-    return Quantity(sum(part.value for part in parts) / n if parts else math.nan, sigma, "DN^2")
+    sigma, shared = (math.sqrt(sum(getattr(part, key) ** 2 for part in parts)) / n for key in ("sigma", "shared"))
+    return Quantity(sum(part.value for part in parts) / n if parts else math.nan, sigma, "DN^2", shared)
 
 
 def _counts(shot: Shot, conditions: dict[str, Any], plane: str, statistics: PlaneStatistics) -> list[tuple[Metric, float]]:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.quantity import Quantity
-from isetval.measure.noise.moments import BLOCK_PIXELS, Moments
+from isetval.measure.noise.moments import BLOCK_PIXELS, CENTER, Moments
 
 Float = NDArray[np.float64]
 NO_ROW_NOISE = Quantity(0.0, 0.0, "DN^2")
@@ -31,7 +31,8 @@ class FixedPattern:
     """Fixed pattern of a plane; variances in DN^2, signed, with total sigma in ``sigma`` and ``shared``.
 
     ``shared`` is the part of the uncertainty that comes from the specimen (another sensor of the same
-    kind would have drawn another pattern); ``sigma`` is what temporal noise adds.
+    kind would have drawn another pattern); ``sigma`` is what temporal noise adds.  ``neighbours`` are covariances of the
+    pixel part with the next pixel of the plane in its row and in its column: 0 for pixels that differ each by itself.
     """
 
     total: Quantity
@@ -43,6 +44,7 @@ class FixedPattern:
     excess_kurtosis: float
     surface: NDArray[Any]
     correlation: Float
+    neighbours: tuple[Quantity, Quantity]
 
 
 @lru_cache(maxsize=64)
@@ -106,6 +108,7 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Qu
         parts, moments.shape, (residue, moments.temporal.sigma / moments.frames), row_temporal.scaled(1 / moments.frames, "DN^2")
     )
     total, row, column, pixel = quantities
+    middle = residual[_middle(residual.shape[0]), _middle(residual.shape[1])]
     return FixedPattern(
         total=total,
         row=row,
@@ -116,7 +119,31 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Qu
         excess_kurtosis=parts[2],
         surface=surface,
         correlation=correlation,
+        neighbours=_neighbours(middle, max(parts[0][0], 0.0), max(pixel.value, 0.0)),
     )
+
+
+def _middle(count: int) -> slice:
+    """At most `CENTER` places in the middle: enough for a covariance."""
+    start = max(0, (count - CENTER) // 2)
+    return slice(start, start + min(count, CENTER))
+
+
+def _neighbours(residual: NDArray[Any], square: float, pixel: float) -> tuple[Quantity, Quantity]:
+    """Covariance with the next pixel in the row and in the column, rows and columns taken out, DN^2.
+
+    White noise of mean square ``square``, of which ``pixel`` is the specimen's, gives it a variance of square^2 / pairs; a line's
+    mean, taken off both, the expectation -square / pixels of the line.
+    """
+    rest = residual - residual.mean(axis=1, keepdims=True)
+    rest -= rest.mean(axis=0)
+    rows, cols = rest.shape
+    out = []
+    for a, b, line in ((rest[:, :-1], rest[:, 1:], cols), (rest[:-1], rest[1:], rows)):
+        own = np.sqrt(max(square**2 - pixel**2, 0.0) / a.size)
+        value = float(np.einsum("ij,ij->", a, b, dtype=np.float64)) / a.size + square / line
+        out.append(Quantity(value, float(own), "DN^2", float(pixel / np.sqrt(a.size))))
+    return out[0], out[1]
 
 
 @dataclass(frozen=True, eq=False)

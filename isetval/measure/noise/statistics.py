@@ -140,6 +140,8 @@ def _plane_statistics(
         "fixed_pixel_variance_dn2": fixed.pixel,
         "fixed_row_variance_dn2": fixed.row,
         "fixed_column_variance_dn2": fixed.column,
+        "fixed_covariance_h_dn2": fixed.neighbours[0],
+        "fixed_covariance_v_dn2": fixed.neighbours[1],
         "gradient_row_dn": gradient_row,
         "gradient_column_dn": gradient_column,
         "outlier_fraction": Quantity(fixed.outliers / pixels, math.sqrt(fixed.outliers + 1) / pixels),

@@ -30,6 +30,8 @@ TRUTH = {
     "fixed_row_variance_dn2": 0.0,
     "fixed_column_variance_dn2": 0.0,
     "row_temporal_variance_dn2": 0.0,
+    "fixed_covariance_h_dn2": 0.0,
+    "fixed_covariance_v_dn2": 0.0,
     "covariance_h_r_gr_dn2": 0.0,
     "covariance_v_r_gb_dn2": 0.0,
     "gradient_row_dn": 0.0,
@@ -167,3 +169,20 @@ def test_sigma_of_fixed_rows_holds_that_of_the_row_noise_taken_off():
         rows.append(quantity.value)
         sigma.append(quantity.total_sigma)
     assert abs(np.std(rows) / np.mean(sigma) - 1) < 4 / np.sqrt(2 * TRIALS)
+
+
+def test_a_pattern_with_a_size_shows_between_neighbors_and_pixels_of_their_own_do_not():
+    """A sine of 11 pixels along the diagonal: a^2/2 cos(2 pi 2/11) with the next pixel of the plane, in both directions."""
+    rng = np.random.default_rng(5)
+    row, col = np.mgrid[:96, :96]
+    hatch = 6.0 * np.sin(2 * np.pi * (row + col) / 11)
+    own = 6.0 / np.sqrt(2) * rng.standard_normal((96, 96))
+    said = []
+    for pattern in (hatch, own):
+        frames = [np.rint(500 + pattern + 3 * rng.standard_normal((96, 96))).astype(np.uint16) for _ in range(4)]
+        plane = flat_statistics([Capture.from_array(f, cfa="RGGB", black_dn=64) for f in frames])["Gr"]
+        assert plane["fixed_pixel_variance_dn2"].value == pytest.approx(18.0, rel=0.1)
+        said.append([plane[f"fixed_covariance_{d}_dn2"] for d in "hv"])
+    for one, other in zip(*said, strict=True):
+        assert one.value == pytest.approx(18.0 * np.cos(2 * np.pi * 2 / 11), rel=0.1)
+        assert abs(other.value) < 3 * other.total_sigma < 1.5

@@ -61,3 +61,26 @@ def test_darks_and_flats_see_the_same_rows(tables):
         stated.append(covariance[dark, flat] / np.sqrt(covariance[dark, dark] * covariance[flat, flat]))
     assert np.mean(stated) == pytest.approx(np.corrcoef(np.array(found).T)[0, 1], abs=0.1)
     assert np.mean(stated) > 0.8
+
+
+@pytest.mark.parametrize(("row_dn", "least"), [(0.0, 0.0), (0.5, 0.5), (3.0, 0.9)])
+def test_planes_on_the_same_rows_share_row_noise(row_dn, least):
+    """R and Gr lie on the same rows, R and B do not; stated correlations are those of repeated series."""
+    rng = np.random.default_rng(78)
+    names = ("mean", "gradient", "frame_drift", "row_noise_variance")
+    values, stated = [], []
+    for _ in range(SPECIMENS):
+        frames = [40 + row_dn * rng.standard_normal(ROWS)[:, None] + 1.5 * rng.standard_normal((ROWS, ROWS)) for _ in range(4)]
+        series = [Capture.from_array(np.rint(f).astype(np.uint16), cfa="RGGB", black_dn=0, window=WINDOW[:2]) for f in frames]
+        dark = Shot(name="d", role="dark", window=WINDOW, exposure=Exposure(time_s=0.01), frames=4)
+        table = MetricTable(tuple(block for _, block in measure_shot(dark, series)))
+        place = {(m.name, m.channel): i for i, m in enumerate(table.metrics) if m.region != "column"}
+        rows = [place[name, plane] for name in names for plane in ("R", "Gr", "B")]
+        values.append(table.values[rows])
+        covariance = table.covariance()[np.ix_(rows, rows)]
+        stated.append(covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance))))
+    found, said = np.corrcoef(np.array(values).T), np.mean(stated, axis=0)
+    for i in range(0, 12, 3):
+        assert said[i, i + 1] == pytest.approx(found[i, i + 1], abs=3.5 / np.sqrt(SPECIMENS))
+        assert said[i, i + 2] == pytest.approx(found[i, i + 2], abs=3.5 / np.sqrt(SPECIMENS))
+        assert said[i, i + 1] > least * (0.8 if i == 9 else 1)

@@ -1,0 +1,85 @@
+"""Effects that round whole codes anew: the lowest step of a stair, and a sigma as wide as what the data leave open."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import isetval
+from isetval.core.campaign import Campaign
+from isetval.core.metric import Metric
+from isetval.core.toml import data_folder
+from isetval.effects import catalogue
+from isetval.loop.candidates import candidates_for, signatures
+from isetval.loop.evidence import hypothesis
+from isetval.loop.fit import fit
+from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
+from isetval.loop.posterior import NOTHING
+from isetval.loop.prediction import Base, Point
+from isetval.loop.problem import Problem
+from isetval.loop.score_test import make_frame
+
+KEY = "digital_gain.gain"
+LEVELS = np.array([60.0, 150.0, 340.0, 623.0])
+SIGMA_DN = 0.1
+
+
+class Codes:
+    """Mean codes of four levels that are multiplied and rounded anew: without noise enough to smear them, a stair each."""
+
+    def __init__(self):
+        self.plan = Campaign("plan", ())
+        self.table = SimpleNamespace(metrics=[Metric("mean", 0.0, 1.0, "DN", family="flat_mean")] * LEVELS.size)
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        gains = [p.model.value(KEY) if p.model.effect("digital_gain") is not None else 0.0 for p in points]
+        return [codes(gain) for gain in gains]
+
+
+def codes(gain):
+    return np.rint(LEVELS * (1 + gain))
+
+
+def fitted_to(gain, seed):
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    measured = codes(gain) + SIGMA_DN * np.random.default_rng(seed).standard_normal(LEVELS.size)
+    base = Base(LEVELS, SIGMA_DN**2 * np.eye(LEVELS.size), np.zeros((16, LEVELS.size)), np.ones(LEVELS.size))
+    keep, whiten = np.arange(LEVELS.size), np.eye(LEVELS.size) / SIGMA_DN
+    problem = Problem(Codes(), Point(model), base, measured, keep, whiten, base.mean, base.covariance)
+    wanted = [c for c in candidates_for(model) if c.name == "digital_gain"]
+    (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((LEVELS.size, 0)))
+    fitted = fit(problem, problem.origin, ())
+    nothing = hypothesis(problem, (), fitted)
+    prepared = SimpleNamespace(model=model)
+    named = {"digital_gain": signature}
+    case = Investigation(prepared, None, problem, nothing, (signature.candidate,), (), named, make_frame(fitted))
+    case.known[NOTHING] = nothing
+    weigh_neighbours(case)
+    found = fitted_jointly(case, frozenset({"digital_gain"}))
+    return *found.fitted.value(KEY), found.fitted.chi2
+
+
+def steps_about(gain):
+    """Ends of the step of the stair on which a gain lies: where none of the levels changes its code."""
+    edges = np.concatenate([(np.rint(level * (1 + gain)) + np.array([-0.5, 0.5])) / level - 1 for level in LEVELS])
+    return edges[edges <= gain].max(), edges[edges > gain].min()
+
+
+@pytest.mark.parametrize("gain", [0.0046, 0.00915, 0.0131, 0.0177, 0.03])
+def test_the_fit_ends_on_the_lowest_step_with_its_width(gain):
+    """Steps of .0002 to .0016, of which ends are known; a uniform number on a step has a sigma of its width / sqrt(12)."""
+    low, high = steps_about(gain)
+    code = 1 / LEVELS[-1]
+    for seed in range(3):
+        value, sigma, chi2 = fitted_to(gain, seed)
+        assert low - code / 8 < value < high + code / 8
+        assert chi2 < 20  # four rows; one code off in one of them is a hundred
+        assert sigma > (high - low) / np.sqrt(12) - code / 16
+        assert sigma < (high - low) / np.sqrt(12) + code / 4
+        assert abs(value - gain) < 2.5 * sigma
+
+
+def test_only_what_rounds_codes_has_a_stair():
+    names = {name for name, cls in catalogue().items() if cls.whole_codes}
+    assert {"digital_gain", "gain_map_applied", "linearization_table", "wrong_black_tag"} <= names
+    assert not names & {"conversion_gain", "black_level", "nonlinearity", "vignetting"}
