@@ -22,6 +22,8 @@ from isetval.loop.subset_sum import LinearModel, Term, Weighed, weigh
 Float = NDArray[np.float64]
 CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery 1995, table 1)
 STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's parameter, well above the noise of common numbers
+SPAN = 2.0  # sigmas of a value that its finite step is long at least; its prior's width where that is shorter
+LONGER_STEPS = 4  # times that steps are made longer, fourfold each: from a fiftieth of the prior's width to all of it
 NOISE_SHARE = 0.5
 """Of a noise's strength: its finite step.  Variances go as its square, of which central differences are exact at any step; short
 ones measure which pixels happen to round to another code (row noise of 2 DN seemed known to .4 % in place of 4)."""
@@ -118,12 +120,32 @@ def refit(
 def fitted_members(
     problem: Problem, members: Sequence[Member], start: Point, free: Sequence[Parameter], iterations: int = MAX_ITERATIONS
 ) -> Fit:
-    """A fit of everything free, on the lowest step where members round whole codes anew."""
+    """A fit of everything free, in long enough finite steps, on the lowest step where members round whole codes anew."""
     fitted = fit(problem, start, free, iterations=iterations)
+    for _ in range(LONGER_STEPS if iterations else 0):
+        longer = with_longer_steps(fitted)
+        if longer == fitted.free:
+            break
+        fitted = fit(problem, fitted.point, longer, iterations=iterations)
     for member in members if iterations else ():
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)
     return fitted
+
+
+def with_longer_steps(fitted: Fit) -> tuple[Parameter, ...]:
+    """What was free, with finite steps of effects at least `SPAN` times as long as values are uncertain, or as their priors.
+
+    Rounded common random numbers give a derivative a noise of one sigma in all rows together, over its step h: as if the
+    parameter were measured to h.  With sigma < h/2 that is less than a quarter of what is known of it.
+    """
+    sigma = np.sqrt(np.diag(fitted.covariance))
+    return tuple(
+        replace(f, step=min(f.prior, 2 * SPAN * float(s)))
+        if not f.is_nuisance and f.prior and f.step < min(SPAN * s, f.prior)
+        else f
+        for f, s in zip(fitted.free, sigma, strict=True)
+    )
 
 
 def free_parameters(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Candidate, Doubt, Signature
 from isetval.loop.evidence import (
+    SPAN,
     Hypothesis,
     Member,
     first_steps,
@@ -186,15 +187,17 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
     case.rough.discard(names)
     values = dict(reference.values)
     weighed = case.linear.get(names)
-    added = _added_values(case, reference, names, weighed) if weighed is not None else {}
+    added, sigma = _added_values(case, reference, names, weighed) if weighed is not None else ({}, {})
     for m in members:
         if isinstance(m, Candidate) and m.name not in reference.names:
             start = added.get(m.name, np.zeros(len(m.keys)))
             values |= first_values(m, case.signatures[m.name], start)
     values = {key: values[key] for m in members for key in m.keys}
+    steps = _steps(members, values)
+    steps |= {key: max(steps[key], s) for key, s in sigma.items()}
     drawn = any(isinstance(m, Candidate) and m.effect.rare and m.name not in reference.names for m in members)
     promised = weighed.log_evidence if weighed is not None and drawn else None
-    found = refit(case.problem, case.prepared.model, reference, members, values, _steps(members, values), promised)
+    found = refit(case.problem, case.prepared.model, reference, members, values, steps, promised)
     if any(m.draws_noise for m in found.effects if m.name not in case.standing.names) and found.weighed.scales.max() > WIDER_ROWS:
         found = _at_its_own_weights(case, found)
     case.known[names] = found
@@ -218,15 +221,27 @@ def _at_its_own_weights(case: Investigation, found: Hypothesis) -> Hypothesis:
     return replace(found, log_evidence=own.log_evidence - (wider[0] - wider[1]) / 2, values=own.values)
 
 
-def _added_values(case: Investigation, reference: Hypothesis, names: Names, weighed: Weighed) -> dict[str, Float]:
-    """Linear estimates, in units of the priors' widths, of what a subset adds to its reference."""
+def _added_values(
+    case: Investigation, reference: Hypothesis, names: Names, weighed: Weighed
+) -> tuple[dict[str, Float], dict[str, float]]:
+    """What a subset adds to its reference as the linear model has it, and finite steps long enough for how well that is known.
+
+    Values by name, in units of the priors' widths; steps by key.
+    """
     terms = terms_beside(case, reference)
-    out, place = {}, len(reference.fitted.free)
+    sigma = np.sqrt(np.diag(weighed.covariance))
+    values: dict[str, Float] = {}
+    steps: dict[str, float] = {}
+    place = len(reference.fitted.free)
     for term in terms:
         if term.name in names:
-            out[term.name] = weighed.values[place : place + term.tau.size]
+            own = slice(place, place + term.tau.size)
+            values[term.name] = weighed.values[own]
+            steps |= dict(
+                zip(case.member(term.name).keys, map(float, term.tau * np.minimum(SPAN * sigma[own], 1.0)), strict=False)
+            )
             place += term.tau.size
-    return out
+    return values, steps
 
 
 def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:

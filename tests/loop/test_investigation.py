@@ -12,7 +12,7 @@ from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.loop.candidates import Signature, candidates_for
 from isetval.loop.detective import CLEAR, ODDS, _better, _proposals
-from isetval.loop.evidence import hypothesis, least_chi2
+from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit, nuisance_parameters
 from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
 from isetval.loop.posterior import NOTHING
@@ -276,3 +276,40 @@ def test_the_strength_of_a_noise_is_as_sure_as_its_variances(sigma):
     assert error / value == pytest.approx(NoisyCamera.RELATIVE / np.sqrt(ROWS) / 2 / v, rel=0.1)
     (step,) = (f.step for f in case.fitted.free)
     assert step == pytest.approx(value / 2, rel=0.2)
+
+
+class RoundedCamera(LinearCamera):
+    """Two effects that no metric tells apart, in rounded numbers: a noise of a sigma in all rows together at every point."""
+
+    SAME = ("dark_current.rate_e_per_s", "black_level.offset_dn")
+    SLOPE = np.array([400.0, 300.0, 0, 0, 0, 0])  # sigmas per unit of the prior's width
+
+    def __init__(self, plan, nominal, tau):
+        super().__init__(plan, nominal)
+        self.tau = tau
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        out = []
+        for p in points:
+            values = [self.offset(p.model, key) / self.tau[key] for key in self.SAME]
+            noise = np.random.default_rng(np.array(values).view(np.uint64)).standard_normal(ROWS) / np.sqrt(ROWS)
+            out.append(sum(values) * self.SLOPE + noise)
+        return out
+
+
+def test_what_rounding_adds_to_derivatives_is_no_knowledge():
+    """Their sum is known to 1/500 of a prior's width, each of them to half of it; short steps measured each to a fiftieth."""
+    model = isetval.load_model(isetval_data() / "camera.toml")
+    wanted = [c for c in candidates_for(model) if c.name in ("dark_current", "black_level")]
+    tau = {key: float(t) for c in wanted for key, t in zip(c.keys, c.tau, strict=True)}
+    camera = RoundedCamera(Campaign("plan", ()), model, tau)
+    base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
+    measured = 0.3 * camera.SLOPE
+    problem = Problem(camera, Point(model), base, measured, np.arange(ROWS), np.eye(ROWS), np.zeros(ROWS), np.eye(ROWS))
+    nothing = hypothesis(problem, (), fit(problem, Point(model), ()))
+    start = {c.keys[0]: float(c.nominal[0] + 0.1 * c.tau[0]) for c in wanted}
+    steps = {key: h for c in wanted for key, h in first_steps(c, start).items()}
+    found = refit(problem, model, nothing, wanted, start, steps)
+    for c in wanted:
+        _, sigma = found.fitted.value(c.keys[0])
+        assert sigma == pytest.approx(c.tau[0] / np.sqrt(2), rel=0.4)
