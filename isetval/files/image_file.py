@@ -241,17 +241,19 @@ def _linear_from_srgb(path: Path, samples: NDArray[Any]) -> NDArray[np.uint16]:
 def _capture(said: _Said) -> Capture:
     about, rows, cols = said.sidecar, *said.samples.shape[:2]
     white_dn = about.white_dn if about.white_dn is not None else (2.0**about.bits - 1 if about.bits else None)
+    stored = 8 * said.samples.dtype.itemsize if said.samples.dtype.itemsize < 3 else 16
     missing = [
         hint
         for hint, value in (
             ('cfa = "RGGB" (the pattern at sensor pixel (0, 0)) or "MONO"', about.cfa),
             ("black_dn = 0", about.black_dn),
-            ("white_dn = 255 or bits = 8", white_dn),
+            (f"white_dn = {2**stored - 1} or bits = {stored}", white_dn),
         )
         if not value
     ]
     if missing or white_dn is None:
-        raise _asked_for(said.path, "a picture without levels and pattern", missing)
+        error = _asked_for(said.path, "a picture without levels and pattern", missing)
+        raise InputError(f"{error}; isetval measure takes them as --cfa, --black-dn and --bits, too")
     window = about.window or (0, 0)
     shape = about.sensor or (window[0] + rows, window[1] + cols)
     try:

@@ -317,8 +317,9 @@ def series_shots(facts: Sequence[FileFacts], asked: Asked) -> tuple[Shot, ...]:
 def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None, channel: str = "") -> Reader:
     """How files are read: DNG by their tags, pictures by their sidecars, headerless raw by what the person says.
 
-    ``channel`` is the one of a demosaiced picture; a mosaic is read whole.  Files of one sensor share the black level of
-    the first.
+    ``raw`` are the keywords of `isetval.files.headerless_file.read_raw`; without ``shape`` they are said of pictures in the
+    place of a sidecar.  ``channel`` is the one of a demosaiced picture; a mosaic is read whole.  Files of one sensor share
+    the black level of the first.
     """
     from isetval.files.capture_file import read_capture
     from isetval.files.dng.sensor_window import OneBlack
@@ -327,10 +328,11 @@ def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None, ch
     shared = OneBlack()
 
     def read(path: Path) -> Capture:
-        if raw is not None and path.suffix.lower() != ".dng":
+        if raw is not None and "shape" in raw and path.suffix.lower() != ".dng":
             return read_raw(path, **raw)
         if path.is_dir():
             raise InputError(f"{path}: is a folder; name files")
-        return shared(read_capture(path, black=black, channel=channel or None))  # type: ignore[arg-type]
+        sidecar = raw if path.suffix.lower() != ".dng" else None
+        return shared(read_capture(path, black=black, sidecar=sidecar, channel=channel or None))  # type: ignore[arg-type]
 
     return read

@@ -171,6 +171,22 @@ def test_bad_words_are_named(run, words, code, said, tmp_path, monkeypatch):
     assert "Traceback" not in err
 
 
+def test_what_a_picture_lacks_may_be_said_with_the_command(run, run_json, tmp_path):
+    codes = np.random.default_rng(4).integers(600, 900, (64, 96)).astype(np.uint16)
+    np.save(tmp_path / "x.npy", codes)
+    code, _, err = run("measure", tmp_path / "x.npy")
+    assert code == 3
+    assert "white_dn = 65535 or bits = 16" in err
+    assert "--cfa" in err
+    code, result, _ = run_json("measure", tmp_path / "x.npy", "--cfa", "mono", "--bits", "12", "--black-dn", "500")
+    assert code == 0
+    mean = next(r for r in result["metrics"] if r["name"] == "plane_mean")
+    assert mean["value"] == pytest.approx(codes.mean() - 500, rel=1e-12)
+    code, _, err = run("measure", tmp_path / "x.npy", "--bits", "12")
+    assert code == 3
+    assert "cfa = " in err
+
+
 def test_headless_raw_needs_all_it_cannot_say_itself(run, run_json, tmp_path):
     rng = np.random.default_rng(3)
     codes = rng.integers(40, 90, (20, 30)).astype("<u2")

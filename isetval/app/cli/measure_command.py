@@ -50,9 +50,9 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         help="black level: optical black where it differs from the tag (auto: the default), the tag, or optical black only",
     )
     p.add_argument("--raw-shape", metavar="ROWSxCOLS", type=raw_shape, help="the files are headerless raw of this size")
-    p.add_argument("--cfa", help="colour pattern of headerless raw: RGGB, BGGR, GRBG, GBRG or MONO")
-    p.add_argument("--bits", type=int, help="bits of headerless raw, 1 to 16")
-    p.add_argument("--black-dn", type=float, help="black level of headerless raw in DN")
+    p.add_argument("--cfa", help="colour pattern of headerless raw or of a TIFF, PNG or NPY: RGGB, BGGR, GRBG, GBRG or MONO")
+    p.add_argument("--bits", type=int, help="bits of headerless raw or of a picture, 1 to 16")
+    p.add_argument("--black-dn", type=float, help="black level of headerless raw or of a picture in DN")
     p.add_argument("--limits", type=Path, help="TOML file of limits; a value outside them gives exit code 1")
     p.add_argument("--shard", metavar="i/n", type=shard, help="only the i-th of n parts of the files (for clusters)")
     p.add_argument(
@@ -155,11 +155,17 @@ def is_campaign(path: Path) -> bool:
 
 
 def _raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:
+    """What is said of headerless raw, or of pictures that no sidecar describes."""
     from isetval.core.errors import InputError
+    from isetval.files.image_file import SUFFIXES
 
     given = {"--raw-shape": args.raw_shape, "--cfa": args.cfa, "--bits": args.bits}
     if all(v is None for v in (*given.values(), args.black_dn)):
         return None
+    pictures = [path for path in args.paths if path.suffix.lower() in SUFFIXES]
+    if len(pictures) == len(args.paths) and args.raw_shape is None:
+        said = {"cfa": args.cfa and args.cfa.upper(), "bits": args.bits, "black_dn": args.black_dn}
+        return {key: value for key, value in said.items() if value is not None}
     missing = [name for name, value in given.items() if value is None]
     if missing:
         raise InputError(f"headerless raw needs --raw-shape, --cfa and --bits; {', '.join(missing)} is missing: add it")
