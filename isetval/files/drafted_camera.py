@@ -21,6 +21,7 @@ from isetval.files.dng.metadata import UNKNOWN_PITCH_UM
 from isetval.files.draft_priors import middle_of
 from isetval.files.draft_types import Seen
 from isetval.files.emva_camera import SYMBOLS, sensor_steps
+from isetval.files.file_facts import block_side
 from isetval.files.light_levels import known_exposure, signal_dn
 from isetval.files.shot_grouping import ShotGroup
 
@@ -56,7 +57,8 @@ def drafted_camera(name: str, sensor: Sensor, seen: Sequence[Seen], captures: Fi
         except InputError as error:
             return None, f"no camera model could be drafted from the darks and flats of visit {session}: {error}"
         told = {"source": f"estimated: isetval campaign init, darks and flats of {name}", "fitted_to": [f"{name}/{session}"]}
-        steps = [*_optics(sensor, flats[0], captures), *sensor_steps(found, told)]
+        clear = [group for group in flats if not group.clipped] or flats
+        steps = [*_optics(sensor, max(clear, key=lambda group: group.level_dn), captures), *sensor_steps(found, told)]
         effects = tuple(make_effect(step, values, name, data_folder()) for step, values in steps)
         numbers = ", ".join(f"{key} {value:.4g}" for key, value in found.items())
         return CameraModel(
@@ -116,14 +118,31 @@ def _optics(sensor: Sensor, group: ShotGroup, captures: FileCaptures) -> list[tu
     steps: list[tuple[str, dict[str, Any]]] = [
         ("aperture", {"f_number": exposed or F_NUMBER, "source": "stated: Exif" if exposed else "estimated: no file states it"})
     ]
-    capture = captures.take("", group.first.file)
-    focal_mm = capture.provenance.get("focal_length_mm") if capture is not None else None
-    if focal_mm and sensor.pixel_um != UNKNOWN_PITCH_UM:
-        steps.append(
-            ("cos4", {"focal_mm": float(focal_mm), "source": "stated: focal length by Exif; exponent 4 is the law itself"})
-        )
+    if (fall_off := _fall_off(sensor, group, captures)) is not None:
+        steps.append(("cos4", fall_off))
     curves = {"file": CURVES[sensor.cfa == "MONO"], "source": "estimated: curves of another camera"}
     return [*steps, ("quantum_efficiency", curves), ("cfa", {})]
+
+
+def _fall_off(sensor: Sensor, group: ShotGroup, captures: FileCaptures) -> dict[str, Any] | None:
+    """cos^4 of the focal length that Exif states, else of the one at which it falls as a flat of the whole sensor does.
+
+    y = a (1 + r^2 / f^2)^-2 makes y^(-1/2) a line in r^2; None where it does not rise by more than it scatters.
+    """
+    capture = captures.take("", group.first.file)
+    stated = capture.provenance.get("focal_length_mm") if capture is not None else None
+    if stated and sensor.pixel_um != UNKNOWN_PITCH_UM:
+        return {"focal_mm": float(stated), "source": "stated: focal length by Exif; the exponent is the law"}
+    blocks = group.first.blocks_dn
+    if group.first.window.shape != (sensor.rows, sensor.cols) or not blocks.min() > 0:
+        return None
+    sides = zip(blocks.shape, (sensor.rows, sensor.cols), strict=True)
+    y, x = (((np.arange(n) + 0.5) * block_side(pixels) - pixels / 2) * sensor.pixel_um / 1000 for n, pixels in sides)
+    square = y[:, None] ** 2 + x**2
+    (slope, start), covariance = np.polyfit(square.ravel(), blocks.ravel() ** -0.5, 1, cov=True)
+    if not slope > CLEAR * math.sqrt(covariance[0, 0]):
+        return None
+    return {"focal_mm": float(math.sqrt(start / slope)), "source": "estimated: the focal length at which cos^4 falls as flats do"}
 
 
 def with_channel_gain(model: CameraModel, group: ShotGroup, light: Light) -> CameraModel:

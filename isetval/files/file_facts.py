@@ -123,10 +123,15 @@ def _wavelength_in_name(name: str) -> float | None:
     return None if found is None else float(found[1])
 
 
+def block_side(pixels: int) -> int:
+    """Rows (or columns) of a block of a frame with so many."""
+    return max(2, 2 * -(-pixels // (2 * BLOCKS)))
+
+
 def _blocks(capture: Capture) -> tuple[Float, int]:
     """Block means above black, at most 24 x 24, and the pixels in a block; blocks hold all colours alike."""
     rows, cols = capture.mosaic.shape
-    high, wide = (max(2, 2 * -(-n // (2 * BLOCKS))) for n in (rows, cols))
+    high, wide = map(block_side, (rows, cols))
     if rows < high or cols < wide:
         return np.array([[float(capture.mosaic.mean()) - float(np.mean(capture.sensor.black_dn))]]), capture.mosaic.size
     down, across = rows // high, cols // wide

@@ -242,10 +242,15 @@ def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_
     distance = (x - 300.0) * np.cos(np.radians(5.0)) - (y - 400.0) * np.sin(np.radians(5.0))
     within = (abs(y - 400) < 150) & (abs(x - 300) < 150)
     _write(tmp_path / "blade" / "e.dng", np.where(within & (distance < 0), 300.0, 2000.0), 0.02, 100)
+    _write(tmp_path / "darks" / "d2.dng", np.zeros(WHOLE), 0.01, 98)
+    for i in range(2):
+        _write(tmp_path / "flats" / f"9{i}.dng", 1200.0 * shade, 0.02, 90 + i)
     assert main(["campaign", "init", str(tmp_path), "-q"]) == 0
+    found_mm = isetval.load_model(tmp_path / "camera.toml").effect("cos4").focal_mm  # no file states one
+    assert found_mm == pytest.approx(FOCAL_PX * 0.002, rel=0.005)
     campaign = isetval.load_campaign(tmp_path)
     flats = [s for s in campaign.shots if s.role == "flat"]
-    assert len(flats) == 2 * 13
+    assert len(flats) == 3 * 13
     assert {s.light_level for s in flats} == {1.0}
     assert len({s.setup for s in flats}) == 1
     table = isetval.measure_campaign(campaign)

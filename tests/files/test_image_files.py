@@ -71,7 +71,9 @@ def test_float_array_of_whole_numbers(tmp_path):
 
 def test_what_is_missing_is_asked_for_by_name(tmp_path):
     path = written(tmp_path / "a.tif", MOSAIC)
-    with pytest.raises(InputError, match=r'cfa = "RGGB".*black_dn = 0; white_dn = 255 or bits = 8 into a\.toml, or images\.toml'):
+    with pytest.raises(
+        InputError, match=r'cfa = "RGGB".*black_dn = 0; white_dn = 65535 or bits = 16 into a\.toml, or images\.toml'
+    ):
         read_image(path)
     with pytest.raises(InputError) as caught:
         read_image(path, {"cfa": "MONO", "bits": 12})
