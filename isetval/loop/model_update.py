@@ -55,6 +55,23 @@ def from_result(effect: str, path: Path | str) -> NewValues:
     return from_spectral_qe(effect, result, Path(path)) if result.get("kind") == KIND else from_diagnosis(effect, path)
 
 
+def named_effects(path: Path | str) -> list[str]:
+    """The effects that a diagnosis names.
+
+    Raises
+    ------
+    InputError
+        If the file is no diagnosis, or names none.
+    """
+    result = read_result(path)
+    if "verdict" not in result or not isinstance(result.get("effects"), list):
+        raise InputError(f"{path}: is no result of 'isetval diagnose'; make one with -o, or name the effect to add")
+    checked(result, Diagnosed, path)
+    if not result["effects"]:
+        raise InputError(f"{path}: names no effect (verdict {result['verdict']}); there is nothing to add")
+    return [str(entry["name"]) for entry in result["effects"]]
+
+
 def from_diagnosis(effect: str, path: Path | str) -> NewValues:
     """The values that a diagnosis found.
 

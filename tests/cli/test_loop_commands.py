@@ -131,6 +131,28 @@ def test_add_refuses_an_effect_that_the_diagnosis_does_not_name(run, tmp_path):
     assert "--set" in err
 
 
+def test_add_without_a_name_adds_all_that_a_diagnosis_names(run, tmp_path):
+    answer = _diagnosis(tmp_path)
+    found = json.loads(answer.read_text())
+    glare = {"gamma": {"value": 0.03, "sigma": 0.002, "unit": "1"}}
+    found["effects"].append({"name": "veiling_glare", "parameters": glare, "posterior": 0.9, "equivalent": []})
+    answer.write_text(json.dumps(found))
+    code, out, _ = run("add", CAMERA, "--from", answer, "-o", tmp_path / "both.toml")
+    assert code == 0
+    assert out.count("written to") == 2
+    model = isetval.load_model(tmp_path / "both.toml")
+    assert (model.value("read_noise.sigma_e"), model.value("veiling_glare.gamma")) == (3.3, 0.03)
+    assert model.name == "both"
+    found["effects"] = []
+    answer.write_text(json.dumps(found))
+    code, _, err = run("add", CAMERA, "--from", answer, "-o", tmp_path / "none.toml")
+    assert (code, (tmp_path / "none.toml").exists()) == (3, False)
+    assert "names no effect" in err
+    code, _, err = run("add", CAMERA, "-o", tmp_path / "none.toml")
+    assert code == 3
+    assert "needs the name of an effect" in err
+
+
 def test_challenge_is_sealed_and_revealed(run, run_json, lab, tmp_path):
     where = tmp_path / "c"
     code, made, _ = run_json("challenge", "make", CAMERA, lab, "-o", where, "--kind", "single", "--seed", 11)

@@ -79,7 +79,9 @@ def _register_simulate(commands: Any, common: argparse.ArgumentParser) -> None:
 def _register_add(commands: Any, common: argparse.ArgumentParser) -> None:
     p = commands.add_parser("add", parents=[common], help="a model with one more effect, or new values", description=add.__doc__)
     p.add_argument("model", metavar="MODEL")
-    p.add_argument("effect", metavar="EFFECT", help="a name of the catalogue (isetval effects)")
+    p.add_argument(
+        "effect", metavar="EFFECT", nargs="?", help="a name of the catalogue (isetval effects); none: all that a diagnosis names"
+    )
     source = p.add_mutually_exclusive_group()
     source.add_argument(
         "--from", dest="diagnosis", metavar="d.json", type=Path, help="result of isetval diagnose, or of save_spectral_qe"
@@ -263,21 +265,28 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
 
 def add(args: argparse.Namespace, console: Console) -> Outcome:
     """Write a model file with one more effect, or with new values of one it has; comments of the file are kept."""
+    from dataclasses import replace
+
     import isetval
     from isetval.core.cache import file_hash
     from isetval.core.errors import InputError
-    from isetval.loop.model_update import add_effect, from_result, from_settings
+    from isetval.loop.model_update import add_effect, from_result, from_settings, named_effects
 
     if args.output is None:
         raise InputError("add needs -o MODEL2: the model file to write")
+    if args.effect is None and args.diagnosis is None:
+        raise InputError("add needs the name of an effect (isetval effects), or --from a diagnosis that names some")
     model = isetval.load_model(args.model)
     inputs = {str(model.path): file_hash(str(model.path))}
     if args.diagnosis is not None:
-        values = from_result(args.effect, args.diagnosis)
+        names = [args.effect] if args.effect else named_effects(args.diagnosis)
+        every = [from_result(name, args.diagnosis) for name in names]
         inputs[str(args.diagnosis)] = file_hash(args.diagnosis)
     else:
-        values = from_settings(args.effect, args.settings)
-    made = add_effect(model, values, output=args.output)
-    lines = [f"{made.name}: {values.words()}; written to {args.output}"]
-    result = {"kind": "add", "model": made.name, "file": args.output, "effect": args.effect, "values": dict(values.values)}
-    return Outcome(result, lines, FINE, inputs)
+        every = [from_settings(args.effect, args.settings)]
+    made, lines = model, []
+    for values in every:
+        made = add_effect(replace(made, name=model.name), values, output=args.output)
+        lines.append(f"{made.name}: {values.words()}; written to {args.output}")
+    added = [{"effect": values.effect, "values": dict(values.values)} for values in every]
+    return Outcome({"kind": "add", "model": made.name, "file": args.output, "added": added} | added[0], lines, FINE, inputs)

@@ -152,8 +152,8 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
     lines += ["", *ladder_table(result["ladder"])]
     lines += [f"note: {note}" for note in gathered(result["notes"])]
     if hint and result["effects"]:
-        first = result["effects"][0]["name"]
-        lines += ["", f"next: isetval add {hint['model']} {first} --from {hint['diagnosis']} -o model2.toml"]
+        first = f" {result['effects'][0]['name']}" if len(result["effects"]) == 1 else ""  # none: all of them
+        lines += ["", f"next: isetval add {hint['model']}{first} --from {hint['diagnosis']} -o model2.toml"]
     return lines
 
 
