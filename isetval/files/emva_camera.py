@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +50,23 @@ def read_emva_camera(path: Path | str, folder: Path | str, sensor: Sensor) -> Ca
     return emva_camera(path.stem, sensor, found, folder, said=f"measured: {path.name}", lacking=f"{path.name} does not state it")
 
 
-def emva_camera(name: str, sensor: Sensor, found: Mapping[str, float], folder: Path, *, said: str, lacking: str) -> CameraModel:
+def emva_camera(
+    name: str,
+    sensor: Sensor,
+    found: Mapping[str, float],
+    folder: Path,
+    *,
+    said: str,
+    lacking: str,
+    fitted_to: Sequence[str] = (),
+) -> CameraModel:
     """The linear model that EMVA 1288 assumes, with numbers ``found`` by the names of `SYMBOLS`; ``qe.csv`` goes into ``folder``.
 
-    ``said`` is the source of each number, ``lacking`` the reason why one is a guess.
+    ``said`` is the source of each number, ``lacking`` the reason why one is a guess, ``fitted_to`` what captures they are of.
     """
     write_whole(folder / "qe.csv", _qe_table(found.get("qe_percent"), sensor, said, lacking))
-    steps = _steps(found, {"source": said}, {"source": f"estimated: {lacking}"})
+    told: dict[str, Any] = {"source": said} | ({"fitted_to": list(fitted_to)} if fitted_to else {})
+    steps = _steps(found, told, {"source": f"estimated: {lacking}"})
     return CameraModel(name, sensor, tuple(make_effect(step, values, name, folder) for step, values in steps))
 
 

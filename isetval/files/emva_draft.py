@@ -67,9 +67,14 @@ def write_emva_campaign(descriptor: Path, *, camera: str = "") -> tuple[Path, Ca
             f"The part of campaign.toml to {part} on: {len(shots.shots)} of {len(campaign.shots)} series.",
             *_checks([window]),
         ]
-        _write(replace(looking, name=f"{campaign.name}, {part}"), folder, part_name(part), remarks)
+        _write(replace(looking, name=part_title(campaign, part)), folder, part_name(part), remarks)
     write_whole(sidecar, said)
     return path, campaign
+
+
+def part_title(campaign: Campaign, part: str) -> str:
+    """The name of the campaign of one of `PARTS`."""
+    return f"{campaign.name}, {part}"
 
 
 def part_name(part: str) -> str:
@@ -87,12 +92,13 @@ def _write(campaign: Campaign, folder: Path, name: str, remarks: Sequence[str]) 
 
 
 def _drafted_camera(campaign: Campaign, folder: Path, name: str) -> str:
-    """Write the linear model with the numbers of session A, and the sentence that says so, or why there is none."""
+    """Write the linear model with the numbers of the part to learn on, and the sentence that says so, or why there is none."""
     assert campaign.sensor is not None
     source = f"estimated: EMVA 1288 by isetval on the part 'learn' of {name}"
     try:
         found = camera_numbers(campaign)
-        model = emva_camera(campaign.name, campaign.sensor, found, folder, said=source, lacking=f"{name} gives none")
+        own, lacking = (part_title(campaign, PARTS[0]),), f"{name} gives none"
+        model = emva_camera(campaign.name, campaign.sensor, found, folder, said=source, lacking=lacking, fitted_to=own)
     except InputError as error:
         return f"no camera model was drafted: {error}; give one with --camera"
     model.save(folder / CAMERA)

@@ -16,7 +16,7 @@ from isetval.files.emva_descriptor import FEWEST_OF_A_STACK
 # of a part: the bend of a response and the growth of darks show in so many; each is simulated thousands of times
 LEVELS, DARKS = 6, 3
 PARTS = ("learn", "confirm", "judge")
-LOOKED_AT = 2**19  # pixels of a shot: a variance is known to .2 %, and a diagnosis costs in proportion
+LOOKED_AT = 2**17  # pixels of a shot: a variance is known to .4 %, and a diagnosis costs in proportion
 PHOTONS = 0.03  # ours: photodiodes come calibrated to 3 %, and the format states no error of its photon numbers
 EVEN = 0.02  # ours: EMVA 1288 (R4.0, 6.1) asks for light that is even to 3 % from the darkest to the brightest place
 LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady

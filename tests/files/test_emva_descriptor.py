@@ -249,6 +249,7 @@ def test_init_drafts_the_linear_camera_of_the_series(drafted):
     assert model.value("conversion_gain.gain_dn_per_e") == pytest.approx(GAIN, rel=0.06)
     assert model.value("read_noise.sigma_e") == pytest.approx(READ_DN / GAIN, rel=0.06)
     assert model.effect("conversion_gain").source.startswith("estimated: ")
+    assert model.effect("conversion_gain").fitted_to == ("set, learn",)
     efficiency = float((drafted / "qe.csv").read_text().splitlines()[-1].split(",")[1])
     # the slope of the means is known ten times better than the gain
     assert efficiency * model.value("conversion_gain.gain_dn_per_e") == pytest.approx(QE * GAIN, rel=0.01)
@@ -270,7 +271,7 @@ def test_of_large_frames_the_middle_is_drafted():
     assert abs(col0 + cols / 2 - 2000) <= 2
     assert (row0 % 2, col0 % 2) == (0, 0)
     assert "middle" in words
-    small = Campaign("small", (Shot("dark", "dark"),), sensor=Sensor(480, 640, 2.0, "MONO", ((0.0, 0.0), (0.0, 0.0)), 4095.0, 12))
+    small = Campaign("small", (Shot("dark", "dark"),), sensor=Sensor(240, 320, 2.0, "MONO", ((0.0, 0.0), (0.0, 0.0)), 4095.0, 12))
     assert looking_at_the_middle(small) == (small, "")
 
 
