@@ -17,7 +17,7 @@ from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
-from isetval.loop.subset_sum import LinearModel, Term, Weighed, weigh
+from isetval.loop.subset_sum import LinearModel, Term, Weighed, at_scales, weigh
 
 Float = NDArray[np.float64]
 CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery 1995, table 1)
@@ -38,7 +38,8 @@ class Hypothesis:
     """What is missing (``members``), fitted jointly with all nuisances.
 
     ``log_evidence`` is ln Z with the weights of the problem it was fitted in, absolute: only differences between
-    hypotheses of one problem mean anything.  ``values`` are the members' parameters: those of the fit, or the linear ones
+    hypotheses of one problem mean anything.  ``wider`` is by how much more each free parameter of the fit is uncertain than error
+    bars say, as the rows of its families scatter.  ``values`` are the members' parameters: those of the fit, or the linear ones
     where the fit found less than half of what they promise.  That happens to effects that are a draw of the specimen: with
     the weights of a camera without hot pixels nothing but the very same pixels would fit.
     """
@@ -48,6 +49,12 @@ class Hypothesis:
     log_evidence: float
     weighed: Weighed
     values: Mapping[str, float]
+    wider: Float
+
+    def value(self, key: str) -> tuple[float, float]:
+        """Fitted value and standard deviation of a parameter, as the rows of each family scatter (``wider`` than stated)."""
+        value, sigma = self.fitted.value(key)
+        return value, sigma * float(self.wider[[f.label for f in self.fitted.free].index(key)])
 
     @property
     def names(self) -> frozenset[str]:
@@ -77,9 +84,12 @@ def linear_model(problem: Problem, fitted: Fit, terms: Sequence[Term] = ()) -> L
 
 def hypothesis(problem: Problem, members: Sequence[Member], fitted: Fit, *, rough: bool = False) -> Hypothesis:
     """A fit of ``members`` with its evidence; ``rough``: it does not stand at its bottom, to which its derivatives lead."""
-    weighed = weigh(linear_model(problem, fitted), (), fitted=not rough)
+    model = linear_model(problem, fitted)
+    weighed = weigh(model, (), fitted=not rough)
+    stated = at_scales(model, (), np.ones(model.counts.size))
+    wider = np.sqrt(np.diag(weighed.covariance) / np.diag(stated.covariance))
     found = {key: fitted.value(key)[0] for m in members for key in m.keys}
-    return Hypothesis(tuple(members), fitted, weighed.log_evidence, weighed, found)
+    return Hypothesis(tuple(members), fitted, weighed.log_evidence, weighed, found, wider)
 
 
 def refit(
@@ -114,7 +124,8 @@ def refit(
     gain = found.log_evidence - near.log_evidence
     if promised is None or gain > WORTH * (promised - near.log_evidence):
         return found
-    return Hypothesis(found.members, found.fitted, promised, found.weighed, {key: start[key] for m in members for key in m.keys})
+    values = {key: start[key] for m in members for key in m.keys}
+    return replace(found, log_evidence=promised, values=values)
 
 
 def fitted_members(

@@ -195,7 +195,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
     """The nominal model with the named effects at their fitted values, and their description."""
     model, effects = case.prepared.model, []
     for candidate in case.standing.effects:
-        values = {key: case.fitted.value(key) for key in candidate.keys}
+        values = {key: case.standing.value(key) for key in candidate.keys}
         named = zip(candidate.parameters, candidate.keys, strict=True)
         effect = candidate.effect.changed(**{p.name: values[key][0] for p, key in named})
         effect = effect.changed(source="isetval diagnose", fitted_to=_captures(case))

@@ -206,6 +206,16 @@ def test_the_hold_out_judges_all_at_one_place():
     assert case.told[NOTHING] < -20  # 10 sigmas, with error bars as uncertain as they are
 
 
+@pytest.mark.parametrize("scatter", [0.5, 1.0, 4.0])
+def test_a_value_is_as_uncertain_as_the_rows_of_its_family_scatter(scatter):
+    """One row tells the value, five tell lambda = (50 + S)/(50 + 5): Student's t of 55 degrees of freedom."""
+    rest = scatter * np.array([0.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+    case = case_of(10.0 * np.eye(ROWS)[0] + rest)
+    found = fitted_jointly(case, frozenset({"dark_current"}))
+    plain, told = found.fitted.value("dark_current.rate_e_per_s")[1], found.value("dark_current.rate_e_per_s")[1]
+    assert told / plain == pytest.approx(np.sqrt((50 + 5 * scatter**2) / 55), rel=0.02)
+
+
 class NoisyCamera(LinearCamera):
     """Six variances in six shots, v0 + sigma^2 each, known to 20 %: of themselves, so that error bars grow with the noise."""
 
