@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import isetval
 from isetval.app.cli import main as isetval_command
 from isetval.core.campaign import Campaign
+from isetval.files.chart_parts import PARTS
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data" / "real" / "flea3"
@@ -56,7 +57,8 @@ def laboratory(data: Path, folder: Path) -> Laboratory:
             shutil.copyfile(MODEL.parent / name, work / name)
         if isetval_command(["campaign", "init", str(work), "--camera", "camera.toml", "-q"]) != 0:
             raise SystemExit(f"{work}: campaign init refused the folder; its sentence stands above")
-    parts = [isetval.load_campaign(path) for path in sorted(work.glob("campaign*.toml"))]
+    whole = [path for path in sorted(work.glob("campaign*.toml")) if not path.stem.endswith(PARTS)]
+    parts = [isetval.load_campaign(path) for path in whole]
     by_kind = {any(shot.levels_only for shot in part.shots): part for part in parts}
     return Laboratory(work, by_kind[True], by_kind[False])
 

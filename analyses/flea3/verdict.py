@@ -18,6 +18,7 @@ from analyses.flea3.common import Laboratory
 from analyses.flea3.levels import Rows, frozen, linearity
 from isetval.core.campaign import Campaign
 from isetval.effects import catalogue
+from isetval.files.chart_parts import PARTS
 
 Say = Callable[[str], None]
 HELD_S, HELD_LIGHT = (0.25, 2.0), "650nm"
@@ -81,10 +82,11 @@ def verdict(
         "left_out": {name: ladder(models, campaign, say) for name, campaign in outside.items()},
     }
     if diagnose:
-        learned = part(laboratory.charts, (0.1, 0.5))
-        out["diagnosis"] = isetval.diagnose(
-            model, learned, part(laboratory.charts, HELD_S), say=say, with_next_captures=False
-        ).to_json()
+        learn, confirm, judge = (isetval.load_campaign(laboratory.folder / f"campaign_{name}.toml") for name in PARTS)
+        found = isetval.diagnose(model, learn, confirm, say=say, with_next_captures=False)
+        out["diagnosis"] = found.to_json()
+        rungs = [model, replace(found.model, name="with what was named")] if found.effects else [model]
+        out["left_out"]["one band and every third exposure of the others"] = ladder(rungs, judge, say)
     return out
 
 

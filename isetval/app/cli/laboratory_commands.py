@@ -163,6 +163,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.app.report.campaign_page import write_campaign_page
     from isetval.core.cache import file_hash
     from isetval.core.toml import PACKAGE_PREFIX
+    from isetval.files.chart_parts import write_chart_parts
     from isetval.files.draft import draft_campaigns, write_draft
     from isetval.files.draft_text import sentences
     from isetval.files.emva_descriptor import find_emva_descriptor
@@ -173,13 +174,18 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     console.say(f"reading the files of {args.folder}")
     draft, *others = draft_campaigns(args.folder, role=args.role, camera=args.camera, scene=args.scene, progress=console.progress)
     roles = [shot.role for shot in draft.shots]
-    lines, made = [], []
+    lines, made, parted = [], [], []
     for one in (draft, *others):
         path, page = write_draft(one, args.folder), write_campaign_page(one, args.folder)
         made.append((str(path), str(page)))
         own = [shot.role for shot in one.shots]
         counts = ", ".join(f"{own.count(role)} {role}" for role in dict.fromkeys(own))
         lines.append(f"{path}: {len(own)} shots ({counts}); pictures of what was found: {page}")
+        if parts := write_chart_parts(path):
+            learn, confirm, judge = parts
+            words = f"parts of {path.name} to learn from, to confirm on, and to judge by"
+            lines.append(f"{learn.name}, {confirm.name}, {judge.name}: {words}, in the brightest colour of each band")
+            parted.append(f"next: isetval diagnose {args.camera or 'CAMERA.toml'} {learn} --holdout {confirm} -o d.json")
     for one in others:
         pitch = f"{one.seen[0].group.first.sensor.pixel_um:g} um"
         lines.append(f"note: {one.file} holds the files with pixels of {pitch}; give it as --holdout")
@@ -191,6 +197,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     if draft.camera:
         model = draft.camera if draft.camera.startswith(PACKAGE_PREFIX) else args.folder / draft.camera
         lines.append(f"next: isetval compare {model} {args.folder}")
+    lines += parted
     result = {
         "kind": "campaign init",
         "file": made[0][0],
