@@ -143,16 +143,39 @@ def _straight(nodes: FloatArray, at: float) -> FloatArray:
 
 
 def _summed(fx: FloatArray, fy: FloatArray, seen: NDArray[np.bool_], landing: FloatArray, share: FloatArray) -> ComplexArray:
-    """Sum of exp(-2 pi i f.p) over the rays where ``seen``; a product of two small factors where the frequencies are a grid."""
+    """Sum of exp(-2 pi i f.p) over the rays where ``seen``; a product of small factors for a grid and for even steps."""
     if np.ndim(fx) == 2 and np.ndim(fy) == 2 and np.shape(fx)[0] == 1 and np.shape(fy)[1] == 1:
         rows = np.exp(-2j * np.pi * np.outer(np.ravel(fy), landing[1])) * share
         cols = np.exp(-2j * np.pi * np.outer(landing[0], np.ravel(fx)))
         return np.asarray(rows @ cols)
     x, y = np.broadcast_arrays(np.asarray(fx, float), np.asarray(fy, float))
     out = np.zeros(x.shape, complex)
-    phase = np.outer(x[seen], landing[0]) + np.outer(y[seen], landing[1])
-    out[seen] = np.exp(-2j * np.pi * phase) @ share
+    places = np.stack([x[seen], y[seen]], axis=1)
+    sums = [_even_sum(places[a:b], landing, share) for a, b in _even_runs(places)]
+    out[seen] = np.concatenate(sums) if sums else 0.0
     return out
+
+
+def _even_runs(frequency: FloatArray) -> list[tuple[int, int]]:
+    """First and last-plus-one of the stretches of (n, 2) places that lie at even steps on a line."""
+    steps = np.diff(frequency, axis=0)
+    uneven = np.abs(np.diff(steps, axis=0)).max(axis=1, initial=0.0) > 1e-9 * np.abs(frequency).max(initial=0.0)
+    ends, begin = [], 0
+    for i in np.flatnonzero(uneven) + 2:
+        if i - begin >= 2:  # the step into the next stretch is its own
+            ends.append((begin, int(i)))
+            begin = int(i)
+    return [*ends, (begin, len(frequency))] if begin < len(frequency) else ends
+
+
+def _even_sum(frequency: FloatArray, landing: FloatArray, share: FloatArray) -> ComplexArray:
+    """The sum at (n, 2) evenly spaced frequencies: of n exponentials for each ray only 2 sqrt(n) differ."""
+    n = len(frequency)
+    m = math.isqrt(n - 1) + 1
+    step = (frequency[-1] - frequency[0]) / max(1, n - 1)
+    fine = np.exp(-2j * np.pi * np.outer(step @ landing, np.arange(m)))
+    coarse = np.exp(-2j * np.pi * (frequency[::m] @ landing)) * share
+    return np.asarray((coarse @ fine).ravel()[:n])
 
 
 def _diffraction(rim: FloatArray, fx: FloatArray, fy: FloatArray, wavelength_nm: float) -> FloatArray:
