@@ -2,7 +2,7 @@
 
 Question: the published reference implementation leaves chi2 of about 390 on 36 degrees of freedom unexplained in this set.
 Data: EMVA 1288 working group, reference set 001 (Basler AG, CC BY-SA 3.0), read from ``--data``; nothing of it is kept here.
-Model: ``data/emva1288_set001/camera.toml``, the numbers that the reference implementation published.
+Model: the standard's linear one, drafted by ``isetval campaign init`` from a part of the series; the others judge it.
 Results: ``reports/emva1288_set001.html``, ``.json`` and ``.png``; with ``--quick`` (no comparison) in a minute.
 
     python analyses/emva1288_set001.py [--data FOLDER] [--quick]
@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import isetval
-from isetval.core.campaign import Campaign, Nuisance, Shot
+from isetval.app.cli import main as isetval_command
+from isetval.core.campaign import Campaign
+from isetval.files.emva_estimates import PARTS
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -30,33 +34,19 @@ from analyses.emva1288_causes import cause_lines, causes  # noqa: E402
 DATA = ROOT.parent / "shared" / "data" / "real" / "emva1288_set001"
 # what the working group's reference implementation (EMVA1288 1.0.2) gives for this set, README of the data
 PUBLISHED = {"K": (0.28006, "DN/e-"), "eta": (45.2, "%"), "sigma_d": (10.92, "e-"), "DSNU": (0.553, "e-"), "PRNU": (0.433, "%")}
-USED, HELD_OUT = 2, 5  # of every six levels: one to learn from, one to confirm on
 USED_PHOTONS = 29_000.0  # below the plateau of the converter
 Float = NDArray[np.float64]
 
 
-# %% The campaign: the descriptor as it is, and what the laboratory does not state
-def priors() -> tuple[Nuisance, ...]:
-    """How well the photon numbers and the evenness of the light are known: our guesses, the set states none."""
-    even = tuple(Nuisance(f"light_{k}", 0.02, "relative", "campaign", roles=("flat",)) for k in ("tilt_x", "tilt_y", "radial"))
-    level = Nuisance("light_level", 0.01, "relative", "campaign", roles=("flat",))
-    flicker = Nuisance("light_level", 0.0005, "relative", "frame", roles=("flat",))  # frame means of the stack scatter by .05 %
-    return (level, flicker, *even)
-
-
-def number_of(shot: Shot) -> int:
-    """The place of a level in the descriptor."""
-    return int("".join(filter(str.isdigit, shot.name)))
-
-
-def levels(campaign: Campaign, place: int) -> Campaign:
-    """One of every six levels of the two-frame series, below the converter's plateau."""
-    kept = [
-        s.name
-        for s in campaign.shots
-        if s.frames == 2 and number_of(s) % 6 == place and (s.photons_per_pixel or 0.0) < USED_PHOTONS
-    ]
-    return replace(campaign.only(kept), nuisances=priors())
+# %% The folder as `isetval campaign init` drafts it: parts to learn from, to confirm on and to judge by, and a linear camera
+def laboratory(data: Path, folder: Path) -> Path:
+    """A copy of the set with its drafted campaign and camera; a folder that was made before is taken as it is."""
+    work = folder / "set"
+    if not (work / "campaign.toml").is_file():
+        shutil.copytree(data, work, dirs_exist_ok=True, copy_function=shutil.copyfile)
+        if isetval_command(["campaign", "init", str(work), "-q"]) != 0:
+            raise SystemExit(f"{work}: campaign init refused the folder; its sentence stands above")
+    return work
 
 
 # %% The table of the standard
@@ -183,21 +173,22 @@ def _points(slope: float, along: float, *data: Float) -> list[tuple[Float, Float
 
 
 # %% Compare, diagnose, add, compare on what was not used
-def run(data: Path, *, quick: bool, diagnose: bool = True) -> dict[str, object]:
+def run(data: Path, folder: Path, *, quick: bool, diagnose: bool = True) -> dict[str, object]:
     """Everything that is printed and drawn."""
-    model = isetval.load_model(ROOT / "data" / "emva1288_set001" / "camera.toml")
     campaign = isetval.load_campaign(data)
     out: dict[str, object] = {"table": emva_table(campaign), "local_gain": local_gain(campaign)}
     out["local_gain_test"] = slope_of(out["local_gain"])  # type: ignore[arg-type]
     out["causes"] = causes(campaign)
     if quick:
         return out
-    out["held_out"] = [vars(row) for row in isetval.compare(model, levels(campaign, HELD_OUT), say=print).ladder]
-    if not diagnose:
-        return out
-    used, held = levels(campaign, USED), levels(campaign, HELD_OUT)
-    found = isetval.diagnose(model, used, held, jobs=2, say=print, with_next_captures=False)
-    out["diagnosis"] = found.to_json()
+    work = laboratory(data, folder)
+    learn, confirm, judge = (isetval.load_campaign(work / f"campaign_{part}.toml") for part in PARTS)
+    models = [isetval.load_model(work / "camera.toml")]
+    if diagnose:
+        found = isetval.diagnose(models[0], learn, confirm, say=print, with_next_captures=False)
+        out["diagnosis"] = found.to_json()
+        models += [replace(found.model, name="with what was named")] if found.effects else []
+    out["held_out"] = [vars(row) for row in isetval.compare(models, judge, say=print).ladder]
     return out
 
 
@@ -213,17 +204,14 @@ def lines(result: dict[str, object]) -> list[str]:
     ]
     held = [row for row in result.get("held_out", []) if row["family"] != "all"]  # type: ignore[attr-defined]
     if held:
-        out.append("the linear model on every sixth level, to which nothing was fitted: mean-square z (relative error) by family")
-        for row in sorted(held, key=lambda row: -row["mean_square_z"]):
-            error = f"{100 * row['rms_relative_error']:.1f} %"
-            out.append(f"  {row['family']}: {row['mean_square_z']:.1f} ({error}, n {row['n']})")
-        own = next(r["value"] for r in result["table"] if r["symbol"] == "PRNU1288.pixel")  # type: ignore[attr-defined]
-        lines_of = [r["family"] for r in held if r["mean_square_z"] > 10 and ("row" in r["family"] or "column" in r["family"])]
-        out.append(
-            f"{', '.join(lines_of)}: the linear model has no noise and no pattern of rows and columns, and they come first; "
-            f"the pixels' own pattern is {own:.3g} %, since the published one holds the slow unevenness of the light as well; "
-            "the local gain of the picture below is what is left of the temporal variance"
-        )
+        out.append("levels and stacks that nothing was learned from: mean-square z (relative error) by family")
+        models = list(dict.fromkeys(row["model"] for row in held))
+        for family in dict.fromkeys(row["family"] for row in held):
+            own = {row["model"]: row for row in held if row["family"] == family}
+            words = (
+                f"{m} {own[m]['mean_square_z']:.1f} ({100 * own[m]['rms_relative_error']:.1f} %)" for m in models if m in own
+            )
+            out.append(f"  {family}: {'; '.join(words)}, n {next(iter(own.values()))['n']}")
     diagnosis = result.get("diagnosis")
     if isinstance(diagnosis, dict):
         out.append(f"verdict: {diagnosis['verdict']}")
@@ -308,12 +296,14 @@ def write_page(result: dict[str, object], path: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the set (default: %(default)s)")
+    parser.add_argument("--work", type=Path, help="folder for the drafted campaign, kept (default: a temporary one)")
     parser.add_argument("--quick", action="store_true", help="table and local gain alone, without comparison and diagnosis")
-    parser.add_argument("--diagnose", action="store_true", help="ask isetval for the missing effect as well (half an hour)")
+    parser.add_argument("--diagnose", action="store_true", help="ask isetval for the missing effect as well (minutes)")
     options = parser.parse_args()
     if not options.data.is_dir():
         raise SystemExit(f"{options.data}: the set is not there; name its folder with --data")
-    made = run(options.data, quick=options.quick, diagnose=options.diagnose)
+    with tempfile.TemporaryDirectory() as temporary:
+        made = run(options.data, options.work or Path(temporary), quick=options.quick, diagnose=options.diagnose)
     print("\n".join(lines(made)))
     (ROOT / "reports" / "emva1288_set001.json").write_text(json.dumps(made, indent=1, default=float) + "\n")
     draw(made, ROOT / "reports" / "emva1288_set001.png")
