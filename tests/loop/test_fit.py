@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isetval.core.parameter import Parameter
-from isetval.loop.fit import far_values, fit, jacobian, made_parallel
+from isetval.loop.fit import far_values, fit, jacobian, made_parallel, moved_far
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 
@@ -86,3 +86,58 @@ def test_an_effect_that_imitates_focus_becomes_parallel_to_it_where_it_acts():
     assert made[4] == nearly[4]
     other = np.array([1.0, -2.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(made_parallel(bent, other, [slope]), other)
+
+
+LEVELS_DN = np.array([20.0, 60.0, 110.0, 180.0, 240.0])
+FACTORS = ("light_level", "qe_green", *(f"patch_reflectance:{i}" for i in range(LEVELS_DN.size)))
+
+
+class Product:
+    """Levels that are a product of light, efficiency and reflectance, cut off at 255: nothing below no light, no slope above."""
+
+    def __init__(self, names):
+        self.labels = [f"{name}@campaign:" for name in names]
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        return [self.at([p.values.get(label, 0.0) for label in self.labels]) for p in points]
+
+    @staticmethod
+    def at(values):
+        light, efficiency, *patches = values
+        return np.minimum(LEVELS_DN * max(1 + light, 0) * max(1 + efficiency, 0) * (1 + np.array(patches)), 255.0)
+
+
+@pytest.mark.parametrize("efficiency", [-0.9, -0.5, 0.0, 0.05])
+def test_factors_known_to_a_factor_of_two_settle(efficiency):
+    """Means known to 1e-4: straight steps along light against efficiency leave the valley after a hundredth of a prior."""
+    camera = Product(FACTORS)
+    errors = np.array([0.05, -0.03, 0.0, 0.04, -0.06])
+    measured = camera.at([0.02, efficiency, *errors])
+    sigma = 1e-4 * measured
+    base = Base(camera.at(np.zeros(7)), np.diag(sigma**2), np.zeros((16, 5)), np.ones(5))
+    whiten = np.diag(1 / sigma)
+    case = Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(5), whiten, base.mean, base.covariance)
+    widths = (0.02, 1.0, *(0.05,) * 5)
+    free = tuple(
+        Parameter(name, scope="campaign", unit="relative", prior=width, step=max(width, 0.05), low=-1.0, factor=True)
+        for name, width in zip(FACTORS, widths, strict=True)
+    )
+    found = fit(case, Point(SimpleNamespace()), free)
+    assert found.converged
+    # seven unknowns of five rows: what is left is the priors' part, at its smallest below that of the truth
+    true_pulls = (0.02 / 0.02) ** 2 + efficiency**2 + np.sum((errors / 0.05) ** 2)
+    assert found.chi2 < true_pulls + 0.5
+    light, seen = (1 + found.value(f"{name}@campaign:")[0] for name in FACTORS[:2])
+    # the product is known as well as the five reflectances on average, .05 / sqrt(5)
+    assert np.log(light * seen) == pytest.approx(np.log(1.02 * (1 + efficiency)), abs=3 * 0.05 / np.sqrt(5))
+
+
+def test_weights_are_made_anew_where_levels_end_far_away():
+    def ended(value, made_at=0.0, name="qe_green", **more):
+        one = Parameter(name, scope="campaign", unit="relative", prior=1.0, step=0.1, factor=True, low=-1.0, **more)
+        state = SimpleNamespace(free=(one,), value=lambda label: (value, 0.1))
+        return moved_far(state, {one.label: made_at} if made_at else {})
+
+    assert [ended(v) for v in (0.0, 0.08, 0.5, -0.5)] == [False, False, True, True]
+    assert not ended(0.52, made_at=0.5)
+    assert ended(1.0, made_at=0.5)
