@@ -291,7 +291,7 @@ class _State:
 
     def moved(self, problem: Problem, start: Point, free: tuple[Parameter, ...], step: Float) -> _State:
         """The state a step away, clipped to the parameters' bounds; infinitely dear where nothing can be simulated."""
-        values = np.clip(_walked(self.values, step, free), [f.low for f in free], [f.high for f in free])
+        values = np.clip(walked(self.values, step, free), [f.low for f in free], [f.high for f in free])
         (prediction,) = problem.predict([at(start, free, list(values))])
         z = problem.whitened(problem.measured - prediction)
         pulls = self.weight * (values - self.center)
@@ -299,7 +299,7 @@ class _State:
         return replace(self, values=values, prediction=prediction, z=z, cost=cost if np.isfinite(cost) else np.inf)
 
 
-def _walked(values: Float, step: Float, free: Sequence[Parameter]) -> Float:
+def walked(values: Float, step: Float, free: Sequence[Parameter]) -> Float:
     """Values a step on; factors walk along their logarithm, so that 1 + value stays above 0.
 
     A full step from an efficiency that is stated to a factor of two would end below no light, where nothing has a slope; and

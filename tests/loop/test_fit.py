@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isetval.core.parameter import Parameter
-from isetval.loop.fit import far_values, fit, jacobian, made_parallel, moved_far
+from isetval.loop.fit import far_values, fit, jacobian, made_parallel, moved_far, walked
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 
@@ -109,7 +109,7 @@ class Product:
 
 @pytest.mark.parametrize("efficiency", [-0.9, -0.5, 0.0, 0.05])
 def test_factors_known_to_a_factor_of_two_settle(efficiency):
-    """Means known to 1e-4: straight steps along light against efficiency leave the valley after a hundredth of a prior."""
+    """Means known to 1e-4, of which seven unknowns make five."""
     camera = Product(FACTORS)
     errors = np.array([0.05, -0.03, 0.0, 0.04, -0.06])
     measured = camera.at([0.02, efficiency, *errors])
@@ -130,6 +130,20 @@ def test_factors_known_to_a_factor_of_two_settle(efficiency):
     light, seen = (1 + found.value(f"{name}@campaign:")[0] for name in FACTORS[:2])
     # the product is known as well as the five reflectances on average, .05 / sqrt(5)
     assert np.log(light * seen) == pytest.approx(np.log(1.02 * (1 + efficiency)), abs=3 * 0.05 / np.sqrt(5))
+
+
+def test_factors_walk_along_their_product():
+    """Light up and efficiency down by as much leaves the product, which alone is seen; no step ends below no light."""
+    names = ("light_level", "qe_green", "spectrum_tilt")
+    free = [Parameter(name, scope="campaign", factor=name != "spectrum_tilt") for name in names]
+    at = np.array([0.1, -0.3, 0.2])
+    step = 0.8 * np.array([1.1, -0.7, -0.5])  # equal and opposite in the logarithms
+    there = walked(at, step, free)
+    assert np.prod(1 + there[:2]) == pytest.approx(np.prod(1 + at[:2]), rel=1e-12)
+    assert there[2] == pytest.approx(0.2 - 0.4)
+    assert walked(at, np.array([0.0, -5.0, 0.0]), free)[1] > -1
+    small = 1e-6 * step
+    assert walked(at, small, free) - at == pytest.approx(small, rel=1e-5)
 
 
 def test_weights_are_made_anew_where_levels_end_far_away():
