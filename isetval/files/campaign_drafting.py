@@ -13,9 +13,9 @@ from isetval.camera.model import CameraModel
 from isetval.core.scene import Spectrum, band_limited, narrow_band
 from isetval.core.sensor import RoiLike, Sensor, Window, pattern_at
 from isetval.files.draft_types import DraftLight, DraftPrior, DraftShot, DraftTarget, Seen
-from isetval.files.file_facts import FileFacts
+from isetval.files.file_facts import LEVEL_STEP, FileFacts
 from isetval.files.folder_words import PUBLISHED
-from isetval.files.light_levels import dark_levels, green_dn, green_rate, known_exposure, lit_setups, scale_for
+from isetval.files.light_levels import LitSetup, dark_levels, green_dn, green_rate, known_exposure, lit_setups, scale_for
 from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup, repeats
 from isetval.files.spectra_search import FolderSpectra, band_limits, chart_reflectances
@@ -94,9 +94,11 @@ def drafted(
     for name, group in references.items():
         work.rates[name] = green_rate(group, dark_dn)
         _add_light(work, name, group, green_dn(group))
+    seen_whole = _across_the_field(setups)
     for setup in setups:
         for group in setup.groups:
-            _add_plain(work, number[id(group)], group, "flat", setup.name, light=setup.light, level=setup.level)
+            places = FIELD_PLACES if id(group) in seen_whole else FIELD_PLACES[:1]
+            _add_plain(work, number[id(group)], group, "flat", setup.name, light=setup.light, level=setup.level, places=places)
     for group in by_role.get("edge", []):
         _add_edges(work, number[id(group)], group, dark_dn)
     _add_charts(work, by_role.get("chart", []), number)
@@ -121,8 +123,26 @@ def _is_large(window: Window, sensor: Sensor) -> bool:
     return window.shape == (sensor.rows, sensor.cols) and window.rows * window.cols > LARGE_PX
 
 
-def _parts(window: Window, role: str, sensor: Sensor) -> list[Window]:
-    """The window of a dark or flat; of a large frame the middle, and for flats thirteen places of the field."""
+def _across_the_field(setups: Sequence[LitSetup]) -> set[int]:
+    """Flats that are looked at all over the field: of each visit and light the brightest that are not clipped, and their repeats.
+
+    A fall-off is the same at all exposures; every further window costs a simulation in each step of a fit.
+    """
+    out = set()
+    by_light: dict[tuple[str, str], list[tuple[float, ShotGroup]]] = {}
+    for setup in setups:
+        for group in setup.groups:
+            by_light.setdefault((group.session, setup.light), []).append((setup.level, group))
+    for groups in by_light.values():
+        clear = [pair for pair in groups if not pair[1].clipped] or groups
+        level, brightest = max(clear, key=lambda pair: pair[1].level_dn)
+        time_s = brightest.first.exposure.time_s
+        out |= {id(g) for a, g in groups if g.first.exposure.time_s == time_s and abs(a - level) <= LEVEL_STEP * level}
+    return out
+
+
+def _parts(window: Window, sensor: Sensor, places: Sequence[tuple[float, float]]) -> list[Window]:
+    """The window of a dark or flat; of a large frame the first of ``places``, the middle, and smaller ones at the others."""
     if not _is_large(window, sensor):
         return [window]
 
@@ -131,16 +151,22 @@ def _parts(window: Window, role: str, sensor: Sensor) -> list[Window]:
         col = window.col0 + 2 * round((window.cols - side) / 4 * (1 + x))
         return Window(row, col, side, side)
 
-    if role == "dark":
-        return [at(0, 0, MIDDLE_PART_PX)]
-    return [at(0, 0, MIDDLE_PART_PX), *(at(x, y, FIELD_PART_PX) for x, y in FIELD_PLACES[1:])]
+    return [at(0, 0, MIDDLE_PART_PX), *(at(x, y, FIELD_PART_PX) for x, y in places[1:])]
 
 
 def _add_plain(
-    work: Drafting, index: int, group: ShotGroup, role: str, setup: str, *, light: str = "", level: float = 1.0
+    work: Drafting,
+    index: int,
+    group: ShotGroup,
+    role: str,
+    setup: str,
+    *,
+    light: str = "",
+    level: float = 1.0,
+    places: Sequence[tuple[float, float]] = FIELD_PLACES[:1],
 ) -> None:
     window = placed(group.first, work.sensor)
-    for part in _parts(window, role, work.sensor):
+    for part in _parts(window, work.sensor, places):
         comment = work.seen[index].content.why
         work.add(index, DraftShot(shot_name(work, role), role, group, part, setup, comment, light, level))
 
