@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from isetval.camera.chain import Camera, ShotSetup, electronics, make_context, mean_electrons
 from isetval.core.campaign import Light, Shot
-from isetval.core.capture import Capture
+from isetval.core.capture import Capture, ExpectedFrame
 from isetval.core.context import Mode, stream, word
 from isetval.core.sensor import Exposure, as_rational_time
 
@@ -32,8 +32,12 @@ def expose(
     sensor_seed: int | None = None,
     frame_factors: Float | None = None,
     mean: Float | None = None,
+    rounded: bool = True,
 ) -> tuple[Capture, ...]:
-    """The frames of one shot; ``mean`` replaces the light."""
+    """The frames of one shot; ``mean`` replaces the light.
+
+    Expected frames need not be ``rounded`` to codes; their dither stays, or estimators would meet data without any noise.
+    """
     shot = setup.shot
     mean = mean_electrons(model, setup) if mean is None else mean
     context = make_context(model, setup, seed=seed, sensor_seed=seed if sensor_seed is None else sensor_seed, mode=mode)
@@ -46,7 +50,7 @@ def expose(
     row0, col0 = context.window[:2]
     for frame in range(shot.frames):
         factor = 1.0 if frame_factors is None else frame_factors[frame]
-        codes = np.zeros(mean.shape, np.uint16)
+        codes = np.zeros(mean.shape, np.uint16 if rounded else np.float32)
         for roi, part in zip(parts, lit, strict=True):
             before = np.atleast_2d((setup.before_e + (setup.stands_for - 1) * part) / setup.stands_for) if frame == 0 else part
             own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian)
@@ -57,7 +61,7 @@ def expose(
                 place = (roi.row0, roi.col0) if setup.regions else ()
                 rng = stream(seed, word("dither"), word(shot.name), frame, *place)
                 dn = dn + (_even_dither(dn.shape, rng) if shot.levels_only else rng.random(dn.shape) - 0.5)
-            codes[roi.row0 : roi.row1, roi.col0 : roi.col1] = _codes(dn)
+            codes[roi.row0 : roi.row1, roi.col0 : roi.col1] = _codes(dn) if rounded else np.clip(dn, 0, 65535)
         frames.append(_capture(model, setup, codes, seed, frame, stored))
     return tuple(frames)
 
@@ -77,11 +81,12 @@ def _codes(dn: NDArray[Any]) -> NDArray[np.uint16]:
     return np.clip(dn, 0, 65535, out=dn).astype(np.uint16)
 
 
-def _capture(model: Camera, setup: ShotSetup, codes: NDArray[np.uint16], seed: int, frame: int, exposure: Exposure) -> Capture:
+def _capture(model: Camera, setup: ShotSetup, codes: NDArray[Any], seed: int, frame: int, exposure: Exposure) -> Capture:
     shot = setup.shot
     provenance = {"maker": "isetval", "model": model.name, "shot": shot.name, "seed": seed, "frame": frame}
     row0, col0 = (shot.window or (0, 0))[:2]
-    return Capture(codes, model.sensor, (row0, col0), exposure, provenance)
+    kind = Capture if codes.dtype == np.uint16 else ExpectedFrame
+    return kind(codes, model.sensor, (row0, col0), exposure, provenance)
 
 
 @lru_cache(maxsize=256)

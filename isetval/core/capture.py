@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,11 +38,14 @@ class Capture:
     window: Position = (0, 0)
     exposure: Exposure = Exposure()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    codes: ClassVar[type] = np.uint16
 
     def __post_init__(self) -> None:
         mosaic = np.asarray(self.mosaic)
-        if mosaic.ndim != 2 or mosaic.dtype != np.uint16:
-            raise InputError(f"mosaic is {mosaic.dtype} {mosaic.shape}; it needs uint16 (rows, cols); see Capture.from_array")
+        if mosaic.ndim != 2 or mosaic.dtype != self.codes:
+            raise InputError(
+                f"mosaic is {mosaic.dtype} {mosaic.shape}; it needs {self.codes.__name__} (rows, cols); see Capture.from_array"
+            )
         rows, cols = mosaic.shape
         row0, col0 = self.window
         if row0 < 0 or col0 < 0 or row0 + rows > self.sensor.rows or col0 + cols > self.sensor.cols:
@@ -100,6 +103,12 @@ class Capture:
             bits=bits or max(8, min(16, int(np.ceil(np.log2(float(white_dn) + 1))))),
         )
         return cls(array, sensor, (row0, col0), Exposure(time_s, iso, f_number), provenance or {})
+
+
+class ExpectedFrame(Capture):
+    """A simulated frame whose codes (float32) are not rounded: what is measured in it follows a parameter without steps."""
+
+    codes: ClassVar[type] = np.float32
 
 
 def _as_uint16(array: NDArray[Any]) -> NDArray[np.uint16]:

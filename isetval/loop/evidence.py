@@ -120,7 +120,8 @@ def refit(
     """
     free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
     point = _starting_point(nominal, near.fitted.point.values, free, members, start)
-    found = hypothesis(problem, members, fitted_members(problem, members, point, free, iterations), rough=not iterations)
+    fitted = fitted_members(problem, members, point, free, pose=near.fitted.pose, iterations=iterations)
+    found = hypothesis(problem, members, fitted, rough=not iterations)
     gain = found.log_evidence - near.log_evidence
     if promised is None or gain > WORTH * (promised - near.log_evidence):
         return found
@@ -129,15 +130,21 @@ def refit(
 
 
 def fitted_members(
-    problem: Problem, members: Sequence[Member], start: Point, free: Sequence[Parameter], iterations: int = MAX_ITERATIONS
+    problem: Problem,
+    members: Sequence[Member],
+    start: Point,
+    free: Sequence[Parameter],
+    *,
+    pose: Mapping[str, float],
+    iterations: int = MAX_ITERATIONS,
 ) -> Fit:
-    """A fit of everything free, in long enough finite steps, on the lowest step where members round whole codes anew."""
-    fitted = fit(problem, start, free, iterations=iterations)
+    """A fit of everything free from a pose, in long enough steps, on the lowest stair where members round whole codes anew."""
+    fitted = fit(problem, start, free, pose=pose, iterations=iterations)
     for _ in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted)
         if longer == fitted.free:
             break
-        fitted = fit(problem, fitted.point, longer, iterations=iterations)
+        fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations)
     for member in members if iterations else ():
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from isetval.loop.problem import Column, Problem
 
 Float = NDArray[np.float64]
 MAX_ITERATIONS = 20  # Gauss-Newton steps: a bound on cost; a fit that ends there says that it has not converged
-MAX_FAILURES = 2  # steps in a row that do not help, each a sixth as long: a third would be below the fit's own noise
+MAX_FAILURES = 2  # steps in a row that help no more than rounding may: a third would be below the fit's own noise
 RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
 SCALED = 0.1  # change of a relative parameter (light, efficiency) that scales the derivatives of all others by as much
@@ -26,7 +26,12 @@ LEAST_FACTOR = 1e-3  # step of a factor that fell to nothing: its slope is that 
 LONGEST = 1.5  # of a factor's logarithm in one step: four times and a quarter, beyond the width of any prior
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
 ALIKE = 0.995  # cosine above which an effect imitates focus: finite steps of the two differ by about a percent
-CONVERGED = 0.02  # in chi2: a seventh of a sigma in one parameter, below the 1/16 that simulation adds
+POSED = 0.1  # prior sigmas within which a nuisance is predicted by its derivatives: what bends there is a hundredth of what it
+# does in the whole width.  Hypotheses that are simulated at one pose see one noise, and shots that nothing else moves are known
+POSED_FACTOR = 1e-3  # of a factor: its product with an effect of a tenth bends by 1e-4, as well as the best means are known
+CONVERGED = 0.02  # in chi2 for each free parameter, a seventh of its sigma: below the 1/16 that simulation adds.  The step that
+# promises no more is taken on the derivatives, which hold so near
+ROUNDING = 0.2  # of the root of chi2, by which common random numbers that are rounded anew move it: a tenth of a sigma in z
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,8 @@ class Fit:
     """Where a fit ended.
 
     ``z`` are whitened residuals (kept rows), ``residual`` the raw ones (all rows, nan where dropped);
-    ``chi2`` is z'z plus the priors' part; ``covariance`` is that of ``values`` in the order of ``free``.
+    ``chi2`` is z'z plus the priors' part; ``covariance`` is that of ``values`` in the order of ``free``.  ``pose`` are the
+    nuisances by label that were simulated, from which derivatives led to the bottom.
     """
 
     point: Point
@@ -47,6 +53,7 @@ class Fit:
     jacobian: Float
     chi2: float
     converged: bool
+    pose: Mapping[str, float] = field(default_factory=dict)
 
     def value(self, key: str) -> tuple[float, float]:
         """Fitted value and standard deviation of a parameter."""
@@ -207,7 +214,14 @@ def _on_both_sides(f: Parameter, step: float, point: Point, both_sides: bool) ->
     return f.curved or (both_sides and not f.is_nuisance and f.low <= _value(f, point) - step <= f.high)
 
 
-def fit(problem: Problem, start: Point, free: Sequence[Parameter], *, iterations: int = MAX_ITERATIONS) -> Fit:
+def fit(
+    problem: Problem,
+    start: Point,
+    free: Sequence[Parameter],
+    *,
+    pose: Mapping[str, float] | None = None,
+    iterations: int = MAX_ITERATIONS,
+) -> Fit:
     """Maximum a posteriori values of ``free`` by Gauss-Newton steps in a trust region, with re-simulated predictions.
 
     Parameters
@@ -216,6 +230,8 @@ def fit(problem: Problem, start: Point, free: Sequence[Parameter], *, iterations
     start : Point
         Parameters start at the point's own values.
     free : sequence of Parameter
+    pose : mapping, optional
+        Nuisances by label at which a fit before this one was simulated; used as long as nothing moves away from it.
     iterations : int
         Steps at most; with 0 all is linearised where it starts.
 
@@ -230,43 +246,50 @@ def fit(problem: Problem, start: Point, free: Sequence[Parameter], *, iterations
     that a full step from far away would answer with shifts and turns of many sigmas, and stay there.
     """
     free = tuple(free)
-    state = _State.at(problem, start, free)
-    matrix = jacobian(problem, state.point(start, free), free)
-    radius, converged, failures = RADIUS, not free, 0
-    for _ in range(iterations if free else 0):
+    state = _State.at(problem, start, free, pose or {})
+    matrix = jacobian(problem, state.posed(start, free), free)
+    radius, failures = RADIUS, 0
+    converged = state.is_close(matrix)
+    for _ in range(0 if converged else iterations):
         step, promised, length = _step(matrix, state, radius)
         moved = state.moved(problem, start, free, step)
-        kept = (state.cost - moved.cost) / max(promised, 1e-300)
-        if promised < CONVERGED or abs(state.cost - moved.cost) < CONVERGED:
-            state = moved if moved.cost < state.cost else state
-            converged = True
-            break
-        if moved.cost < state.cost:
-            state, failures = moved, 0
-            if kept < 0.25:
+        fell = state.cost - moved.cost
+        failures = 0 if fell > state.rounding else failures + 1
+        helps = fell > 0 or _is_closer(matrix, moved, state)
+        if helps:
+            state = moved
+            if fell < 0.25 * promised:
                 radius = length / 2
-            elif kept > 0.75:
+            elif fell > 0.75 * promised:
                 radius = max(radius, 2 * length)
-            matrix = jacobian(problem, state.point(start, free), free)
         else:
-            failures += 1
-            if failures > MAX_FAILURES:
-                break
             radius = length / 6
-            matrix = jacobian(problem, state.point(start, free), free, stale=0.0)
-    if any(not f.is_nuisance for f in free):
-        matrix = jacobian(problem, state.point(start, free), free, both_sides=True)
+        converged = state.is_close(matrix)
+        if converged or failures > MAX_FAILURES:
+            break
+        matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if helps else 0.0)
+    if free and converged and iterations:
+        state = state.led(problem, free, matrix)
+    matrix = jacobian(problem, state.posed(start, free), free, both_sides=True)
     covariance: Float = np.asarray(np.linalg.pinv(hessian(matrix, free))) if free else np.zeros((0, 0))
     residual = problem.measured - state.prediction
     point = state.point(start, free)
-    return Fit(point, free, state.values, covariance, state.prediction, residual, state.z, matrix, state.cost, converged)
+    simulated = {f.label: float(v) for f, v in zip(free, state.pose, strict=True) if f.is_nuisance}
+    return Fit(
+        point, free, state.values, covariance, state.prediction, residual, state.z, matrix, state.cost, converged, simulated
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where a fit stands; ``weight`` are one over the priors' sigmas (0: none), ``unit`` what a long step is measured in."""
+    """Where a fit stands.
+
+    ``weight`` are one over the priors' sigmas (0: none), ``unit`` what a long step is measured in; ``pose`` are the values
+    (nuisances alone count) that were simulated, from which the nuisances' derivatives led here.
+    """
 
     values: Float
+    pose: Float
     weight: Float
     unit: Float
     center: Float
@@ -275,28 +298,84 @@ class _State:
     cost: float
 
     @classmethod
-    def at(cls, problem: Problem, start: Point, free: tuple[Parameter, ...]) -> _State:
+    def at(cls, problem: Problem, start: Point, free: tuple[Parameter, ...], pose: Mapping[str, float]) -> _State:
         values = np.array([start.values.get(f.label, f.center) if f.is_nuisance else start.model.value(f.label) for f in free])
         weight = prior_weights(free)
         nothing = np.zeros(0)
         unit = np.array([f.reach for f in free])
-        empty = cls(values, weight, unit, np.array([f.center for f in free]), nothing, nothing, np.inf)
+        there = np.array([pose.get(f.label, v) if f.is_nuisance else v for f, v in zip(free, values, strict=True)])
+        empty = cls(values, there, weight, unit, np.array([f.center for f in free]), nothing, nothing, np.inf)
         found = empty.moved(problem, start, free, np.zeros(len(free)))
         if not np.isfinite(found.cost):
             raise InputError("the fit starts where nothing can be simulated; check the priors of the campaign's nuisances")
         return found
 
+    @property
+    def rounding(self) -> float:
+        """By how much chi2 may move where shots are rounded anew."""
+        return ROUNDING * float(np.sqrt(self.cost))
+
     def point(self, start: Point, free: tuple[Parameter, ...]) -> Point:
         return at(start, free, list(self.values))
+
+    def posed(self, start: Point, free: tuple[Parameter, ...]) -> Point:
+        """Where it was simulated."""
+        nuisance = [f.is_nuisance for f in free]
+        return at(start, free, list(np.where(nuisance, self.pose, self.values)))
 
     def moved(self, problem: Problem, start: Point, free: tuple[Parameter, ...], step: Float) -> _State:
         """The state a step away, clipped to the parameters' bounds; infinitely dear where nothing can be simulated."""
         values = np.clip(walked(self.values, step, free), [f.low for f in free], [f.high for f in free])
-        (prediction,) = problem.predict([at(start, free, list(values))])
+        pose = self.pose
+        if any(f.is_nuisance and not self._is_near(problem, f, v - p) for f, v, p in zip(free, values, pose, strict=True)):
+            pose = values
+        (prediction,) = problem.predict([replace(self, values=values, pose=pose).posed(start, free)])
+        for f, way in zip(free, values - pose, strict=True):
+            if f.is_nuisance and way:
+                prediction = prediction + problem.columns[f.label].slope * way
         z = problem.whitened(problem.measured - prediction)
         pulls = self.weight * (values - self.center)
         cost = float(z @ z + pulls @ pulls)
-        return replace(self, values=values, prediction=prediction, z=z, cost=cost if np.isfinite(cost) else np.inf)
+        cost = cost if np.isfinite(cost) else np.inf
+        return replace(self, values=values, pose=pose, prediction=prediction, z=z, cost=cost)
+
+    @staticmethod
+    def _is_near(problem: Problem, nuisance: Parameter, way: float) -> bool:
+        """Whether a nuisance is so near the pose that its derivatives lead there."""
+        limit = POSED * nuisance.reach
+        near = abs(way) < (min(limit, POSED_FACTOR) if nuisance.unit == "relative" else limit)
+        return way == 0 or (near and nuisance.label in problem.columns)
+
+    def is_close(self, matrix: Float) -> bool:
+        """Whether what is promised by whitened derivatives (kept rows, parameters) is not worth another simulation.
+
+        The sigmas of a model that does not fit are wider than they say, by the root of the mean square of its residuals; its
+        derivatives, times those residuals, would lead about without end.
+        """
+        enough = CONVERGED * self.values.size * max(1.0, self.cost / max(self.z.size, 1))
+        return not self.values.size or _step(matrix, self, np.inf)[1] < enough
+
+    def led(self, problem: Problem, free: tuple[Parameter, ...], matrix: Float) -> _State:
+        """The state at the bottom, a short step away as the derivatives have it, or this one if bounds make that no better."""
+        values = np.clip(walked(self.values, _step(matrix, self, np.inf)[0], free), [f.low for f in free], [f.high for f in free])
+        z = self.z - matrix @ (values - self.values)
+        pulls = self.weight * (values - self.center)
+        cost = float(z @ z + pulls @ pulls)
+        prediction = self.prediction.copy()
+        prediction[problem.keep] += problem.raw(self.z - z)
+        return replace(self, values=values, prediction=prediction, z=z, cost=cost) if cost < self.cost else self
+
+
+def _is_closer(matrix: Float, moved: _State, state: _State) -> bool:
+    """Whether a step that made chi2 rise by no more than rounding does has come closer to the bottom.
+
+    Chi2 of 90,000 moves by 18 where shots are rounded anew, more than the last steps promise: judged by it a fit would try
+    every one of them several times.  At the bottom no step promises anything, and what one promises feels only the part of
+    the rounding that looks like a parameter.
+    """
+    if moved.cost - state.cost > state.rounding:
+        return False
+    return _step(matrix, moved, np.inf)[1] < _step(matrix, state, np.inf)[1]
 
 
 def walked(values: Float, step: Float, free: Sequence[Parameter]) -> Float:

@@ -18,7 +18,7 @@ from isetval.core.effect import ParameterInfo
 from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
 from isetval.loop.candidates import Candidate
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
-from isetval.loop.investigation import Investigation
+from isetval.loop.investigation import BENDS, Investigation
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.result import FormRow
@@ -114,7 +114,11 @@ def _something_left(case: Investigation, found: Hypothesis) -> bool:
 
 
 def _promising(case: Investigation, found: Hypothesis, name: str) -> list[Candidate]:
-    """Openings whose further parameters promise strong evidence in the linear model about a fit."""
+    """Openings whose further parameters promise strong evidence in the linear model about a fit, and enough to matter.
+
+    Of an effect that lies far behind the best hypothesis no form is asked for that would have to gain more than the linear
+    model can be wrong by.
+    """
     openings = _openings(_form(found, name))
     widest = openings[-1]
     more = [p for p in widest.parameters if p not in _form(found, name).parameters]
@@ -130,7 +134,10 @@ def _promising(case: Investigation, found: Hypothesis, name: str) -> list[Candid
         gain = weigh(linear_model(case.problem, found.fitted, [term]), (0,)).log_evidence - alone + float(np.log(FREE_SHARE))
         promised.append((gain, opened))
     promised.sort(key=lambda item: -item[0])
-    return [opened for gain, opened in promised if gain > max(CLOSE_LOG_ODDS, promised[0][0] - CLOSE_LOG_ODDS)]
+    behind = max(case.score(h) for h in case.known.values()) - CLOSE_LOG_ODDS - case.score(found)
+    return [
+        opened for gain, opened in promised if gain > max(CLOSE_LOG_ODDS, promised[0][0] - CLOSE_LOG_ODDS, (1 - BENDS) * behind)
+    ]
 
 
 def _columns(case: Investigation, found: Hypothesis, opened: Candidate, more: Sequence[ParameterInfo]) -> Float:

@@ -72,11 +72,13 @@ def is_noisy(shot: Shot, choices: Mapping[str, Any]) -> bool:
     return given is None or not is_whole_field(given)
 
 
-def shoot(camera: CameraModel, setup: ShotSetup, seed: int, *, mode: Mode, choices: Mapping[str, Any]) -> tuple[Capture, ...]:
+def shoot(
+    camera: CameraModel, setup: ShotSetup, seed: int, *, mode: Mode, choices: Mapping[str, Any], rounded: bool = True
+) -> tuple[Capture, ...]:
     """The captures of a shot: without noise for metrics of the whole field, at every wanted level for noise against level."""
     given = choices.get(f"{setup.shot.name}/given")
     if given is None or not given["alone"]:
-        return expose(camera, setup, seed, mode=mode)
+        return expose(camera, setup, seed, mode=mode, rounded=rounded)
     if is_whole_field(given):
         return (_without_rounding(camera, setup),)
     levels = _levels(camera, given["wanted"].metrics)

@@ -166,7 +166,8 @@ class Predictor:
             chosen = content_hash(choices)
             large, setup = in_large_pixels(camera, setup, choices)
             camera, halves = (camera, halves) if large is camera else (large, Halves.of(large))
-        return ShotPart(camera, setup, seed if is_noisy(shot, choices) else 0, mode, choices, halves, chosen)
+        rounded = mode != "expected" or not how.noise_free or shot.given is not None
+        return ShotPart(camera, setup, seed if is_noisy(shot, choices) else 0, mode, choices, halves, chosen, rounded)
 
     def derivative_vectors(
         self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS, *, of_noise: bool = False

@@ -53,12 +53,17 @@ class Prepared:
         are focus errors so far from zero that predictions must be made there.
         """
         model = model.sampled_as(self.campaign.sensor)
-        key = model.digest() + (repr(sorted(values.items())) if values else "")
+        key = _key(model, values)
         if key == self.model.digest():
             return self.problem
         if key not in self.problems:
             self.problems[key] = make_problem(self.problem.predictor, Point(model, values or {}), seeds=seeds)
         return self.problems[key]
+
+    def stands_for(self, model: CameraModel, problem: Problem, values: Mapping[str, float]) -> None:
+        """Predict with ``model`` in a problem that was made so close to it, and to these focus errors, that its weights hold."""
+        model = model.sampled_as(self.campaign.sensor)
+        self.problems |= {_key(model, values): problem, _key(model): problem}
 
     def settled(self, model: CameraModel) -> tuple[Problem, Fit]:
         """The problem and its nuisance fit; simulated anew where focus or levels lie far from where they are stated.
@@ -106,6 +111,10 @@ class Prepared:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
+
+
+def _key(model: CameraModel, values: Mapping[str, float] | None = None) -> str:
+    return model.digest() + (repr(sorted(values.items())) if values else "")
 
 
 def prepare(

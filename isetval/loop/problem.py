@@ -64,6 +64,12 @@ class Problem:
         """L^-1 of the kept rows of ``vector``, (metrics,) or (metrics, k)."""
         return np.asarray(self.whiten @ vector[self.keep])
 
+    def raw(self, white: Float) -> Float:
+        """L times a whitened vector (kept rows,): the kept rows that `whitened` makes it from."""
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.whiten, white, lower=True))
+
 
 def make_problem(
     predictor: Predictor, origin: Point, *, base: Base | None = None, seeds: tuple[int, ...] = DERIVATIVE_SEEDS

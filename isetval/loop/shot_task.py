@@ -72,7 +72,11 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class ShotPart:
-    """What one worker needs to shoot and measure one shot; ``halves`` and ``chosen`` are the hashes of model and choices."""
+    """What one worker needs to shoot and measure one shot; ``halves`` and ``chosen`` are the hashes of model and choices.
+
+    Noise-free frames are ``rounded`` to codes where their estimators count codes: differences of frames that are not
+    follow their parameters without steps.
+    """
 
     model: CameraModel
     setup: ShotSetup
@@ -81,6 +85,7 @@ class ShotPart:
     choices: Mapping[str, Any]
     halves: Halves
     chosen: str
+    rounded: bool = True
 
     @cached_property
     def key(self) -> str:
@@ -91,7 +96,7 @@ class ShotPart:
     def _rest(self) -> tuple[Any, ...]:
         shot = self.setup.shot
         frames = (shot.frames, self.setup.stands_for, self.setup.before_e)
-        return (self.halves.rest, shot.name, *frames, self.seed, self.mode, self.chosen)
+        return (self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen)
 
     def key_of_light(self, mean: Float) -> str:
         """The same, by the light that came out in place of what it was made from."""
@@ -206,6 +211,6 @@ def blocks_of(tasks: Sequence[ShotPart]) -> list[list[Block]]:
     step = max(1, HELD_PIXELS // (tasks[0].pixels * tasks[0].setup.shot.frames)) if tasks else 1
     for i in range(0, len(tasks), step):
         part = tasks[i : i + step]
-        captures = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices) for t in part]
+        captures = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices, rounded=t.rounded) for t in part]
         out += measure_shots(part[0].setup.shot, captures, choices=part[0].choices)
     return out

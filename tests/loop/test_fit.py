@@ -155,3 +155,31 @@ def test_weights_are_made_anew_where_levels_end_far_away():
     assert [ended(v) for v in (0.0, 0.08, 0.5, -0.5)] == [False, False, True, True]
     assert not ended(0.52, made_at=0.5)
     assert ended(1.0, made_at=0.5)
+
+
+class RoundedCamera(BentCamera):
+    """The same with rows in steps of a sigma: what rounding leaves of common random numbers."""
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        return [SIGMA * np.round(rows / SIGMA) for rows in super().derivative_vectors(points, seeds)]
+
+
+@pytest.mark.parametrize(("focus", "most"), [(1.0, 18), (3.6, 28)])
+def test_a_fit_ends_where_rounding_hides_what_a_step_promises(focus, most):
+    """Judged by its chi2, which jumps by several, each of the last steps would be tried again (23 and 35 simulations)."""
+    rounded = problem(focus, 0.4)
+    rounded.predictor = RoundedCamera()
+    found = fit(rounded, Point(SimpleNamespace()), FREE)
+    assert rounded.predictor.calls < most
+    assert found.converged
+    assert found.value(FOCUS)[0] == pytest.approx(focus, abs=0.02)
+
+
+def test_a_nuisance_near_the_pose_is_led_there_by_its_derivatives():
+    bent = problem(0.02, 0.02)
+    first = fit(bent, Point(SimpleNamespace()), FREE)
+    calls = bent.predictor.calls
+    again = fit(bent, first.point, FREE, pose=first.pose)
+    assert again.pose == first.pose
+    assert bent.predictor.calls == calls + 3  # each of them at the pose, which the store knows
+    np.testing.assert_allclose(again.values, first.values, atol=1e-3)

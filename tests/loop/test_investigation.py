@@ -11,7 +11,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.loop.candidates import Signature, candidates_for
-from isetval.loop.detective import CLEAR, ODDS, _better, _proposals
+from isetval.loop.detective import CLEAR, ODDS, _better, _is_lost, _lost_words, _proposals
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit, nuisance_parameters
 from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
@@ -63,7 +63,9 @@ def case_of(measured):
         for c, column in zip(chosen, COLUMNS.values(), strict=True)
     }
     nothing = hypothesis(problem, (), fitted)
-    prepared = SimpleNamespace(model=model, problem_for=lambda *_, **__: problem)  # linear: no weight changes with the model
+    prepared = SimpleNamespace(
+        model=model, problem_for=lambda *_, **__: problem, stands_for=lambda *_: None
+    )  # linear: no weight changes with the model
     case = Investigation(prepared, None, problem, nothing, tuple(chosen), (), signatures, make_frame(fitted))
     case.known[NOTHING] = nothing
     weigh_neighbours(case)
@@ -110,6 +112,15 @@ def test_the_true_pair_stays(case):
     stand(case, "dark_current", "temporal_row_noise")
     assert _better(case, quiet, {case.standing.names}, first=False) is None
     assert case.table.of("dark_current") > 0.99
+
+
+@pytest.mark.parametrize(("beyond", "lost"), [(0.0, False), (100.0, False), (5000.0, True)])
+def test_an_effect_that_takes_little_of_what_no_error_bar_allows_is_not_named(beyond, lost):
+    """A campaign in wrong light: its chi2 of 25 million holds 40,000 that look like an effect."""
+    case = case_of(200.0 * np.eye(ROWS)[0] + beyond * np.eye(ROWS)[-1])
+    found = fitted_jointly(case, frozenset({"dark_current"}))
+    assert _is_lost(case, found) is lost
+    assert ("explains 0.2% of it" in _lost_words(case, found)) is lost
 
 
 def test_a_member_that_is_not_needed_is_taken_out():
@@ -248,7 +259,7 @@ def noisy_case(sigma):
     problem = camera.problem(model, measured)
     fitted = fit(problem, Point(model), ())
     step = wanted.tau[0]
-    prepared = SimpleNamespace(model=model, problem_for=lambda m, **_: camera.problem(m, measured))
+    prepared = SimpleNamespace(model=model, problem_for=lambda m, **_: camera.problem(m, measured), stands_for=lambda *_: None)
     signatures = {wanted.name: Signature(wanted, np.full((ROWS, 1), step), np.array([step]))}
     nothing = hypothesis(problem, (), fitted)
     case = Investigation(prepared, None, problem, nothing, (wanted,), (), signatures, make_frame(fitted))
