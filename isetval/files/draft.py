@@ -244,8 +244,8 @@ def _unknown(
         )
         out.append(("camera", needs, "the campaign can be measured, not compared or diagnosed."))
     if estimated:
-        needs = "the camera's own spectral curves (quantum_efficiency), its lens (cos4, a lens file) and its blur."
-        without = "curves of another camera, in the flats' colour, and no blur stand in: `compare` shows where they fail."
+        needs = "the camera's own spectral curves (quantum_efficiency), its lens (a lens file, defocus)."
+        without = "curves of another camera, in the flats' colour, and a perfect focus stand in: `compare` shows where they fail."
         out.append((CAMERA, needs, without))
     alike: dict[str, list[str]] = {}
     for light in work.lights.values():

@@ -113,15 +113,17 @@ def _numbers(darks: Sequence[Sequence[Capture]], flats: Sequence[Sequence[Captur
 
 
 def _optics(sensor: Sensor, group: ShotGroup, captures: FileCaptures) -> list[tuple[str, dict[str, Any]]]:
-    """Aperture, fall-off and filters: what Exif states, and embedded curves of another camera."""
+    """Lens, pixel and filters: what Exif states, laws, and embedded curves of another camera."""
     exposed = group.first.exposure.f_number
-    steps: list[tuple[str, dict[str, Any]]] = [
-        ("aperture", {"f_number": exposed or F_NUMBER, "source": "stated: Exif" if exposed else "estimated: no file states it"})
-    ]
+    said = "stated: Exif" if exposed else "estimated: no file states it"
+    steps: list[tuple[str, dict[str, Any]]] = [("aperture", {"f_number": exposed or F_NUMBER, "source": said})]
+    if exposed and sensor.pixel_um != UNKNOWN_PITCH_UM:
+        steps.append(("diffraction", {"f_number": exposed, "source": "law: at the f-number above"}))
     if (fall_off := _fall_off(sensor, group, captures)) is not None:
         steps.append(("cos4", fall_off))
     curves = {"file": CURVES[sensor.cfa == "MONO"], "source": "estimated: curves of another camera"}
-    return [*steps, ("quantum_efficiency", curves), ("cfa", {})]
+    pixel = {"width_px": 1.0, "source": "estimated: microlenses fill the pixel"}
+    return [*steps, ("pixel_aperture", pixel), ("quantum_efficiency", curves), ("cfa", {})]
 
 
 def _fall_off(sensor: Sensor, group: ShotGroup, captures: FileCaptures) -> dict[str, Any] | None:

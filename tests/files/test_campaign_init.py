@@ -14,6 +14,7 @@ import pytest
 import isetval
 from isetval.app.cli import main
 from isetval.core.toml import data_folder
+from isetval.files.dng.writer import DngInfo
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from foreign_camera.lab_folder import write_lab
@@ -226,11 +227,13 @@ def _cos4(rows, cols):
     return (1 + ((y - (rows - 1) / 2) ** 2 + (x - (cols - 1) / 2) ** 2) / FOCAL_PX**2) ** -2.0
 
 
-def _write(path, electrons, time_s, seed):
+def _write(path, electrons, time_s, seed, *, f_number=None, focal_mm=None):
     rng = np.random.default_rng(seed)
     codes = np.rint(64 + 0.25 * rng.poisson(electrons) + 1.5 * rng.standard_normal(electrons.shape))
     path.parent.mkdir(parents=True, exist_ok=True)
-    isetval.write_dng(path, isetval.Capture.from_array(np.clip(codes, 0, 1023).astype(int), time_s=time_s, pixel_um=2.0, bits=10))
+    codes = np.clip(codes, 0, 1023).astype(int)
+    capture = isetval.Capture.from_array(codes, time_s=time_s, pixel_um=2.0, bits=10, f_number=f_number)
+    isetval.write_dng(path, capture, info=DngInfo(focal_length_mm=focal_mm))
 
 
 def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_path):
@@ -273,7 +276,7 @@ def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_
 MADE = {"conversion_gain": 0.25, "read_noise": 6.0, "dark_current": 8.0}
 
 
-def _electrons_of_a_lab(folder, *, flats):
+def _electrons_of_a_lab(folder, *, flats, **stated):
     """Darks of three times and an even series in three colours of light, by other code: gain .25, 6 e- rms, 8 e-/s."""
     color = np.array([[0.6, 1.0], [1.0, 1.5]])  # red, green, green, blue
     plane = np.tile(color, (80, 100))
@@ -282,7 +285,7 @@ def _electrons_of_a_lab(folder, *, flats):
             _write(folder / "cap" / f"{k}{i}.dng", np.full(plane.shape, 8.0 * time_s), time_s, 10 * k + i)
     for k, electrons in enumerate(flats):
         for i in range(2):
-            _write(folder / "sphere" / f"{k}{i}.dng", electrons * plane, electrons * 2e-5, 100 + 10 * k + i)
+            _write(folder / "sphere" / f"{k}{i}.dng", electrons * plane, electrons * 2e-5, 100 + 10 * k + i, **stated)
 
 
 def test_a_folder_without_a_camera_gets_one_from_its_darks_and_flats(tmp_path, capsys):
@@ -299,6 +302,15 @@ def test_a_folder_without_a_camera_gets_one_from_its_darks_and_flats(tmp_path, c
     flats = next(row for row in table if row.family == "flat_mean")  # the colour of the light is taken over
     assert flats.rms_relative_error < 0.01
     assert flats.role == "calibration"
+
+
+def test_a_drafted_camera_has_the_lens_that_exif_states(tmp_path):
+    stated = {"f_number": 1.8, "focal_mm": 4.4}
+    _electrons_of_a_lab(tmp_path, flats=(100.0, 300.0, 900.0), **stated)
+    assert main(["campaign", "init", str(tmp_path), "-q"]) == 0
+    model = isetval.load_model(tmp_path / "camera.toml")
+    assert [model.value(key) for key in ("aperture.f_number", "diffraction.f_number", "cos4.focal_mm")] == [1.8, 1.8, 4.4]
+    assert all(model.effect(name).source.startswith(("stated", "law")) for name in ("aperture", "diffraction", "cos4"))
 
 
 def test_no_camera_is_made_of_too_little_and_none_is_overwritten(tmp_path, capsys):
