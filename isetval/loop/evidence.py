@@ -22,8 +22,10 @@ from isetval.loop.subset_sum import LinearModel, Term, Weighed, at_scales, weigh
 Float = NDArray[np.float64]
 CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery 1995, table 1)
 STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's parameter, well above the noise of common numbers
-SPAN = 2.0  # sigmas of a value that its finite step is long at least; its prior's width where that is shorter
-LONGER_STEPS = 4  # times that steps are made longer, fourfold each: from a fiftieth of the prior's width to all of it
+SPAN = 10.0
+"""Sigmas of a value that its finite step is long at least, or its prior's width: above the noise of rounded common random
+numbers, and well inside the 50 within which signatures are straight (`candidates.WANTED`)."""
+LONGER_STEPS = 4  # times that steps are made longer: twentyfold and more each, where sigmas were found too small
 NOISE_SHARE = 0.5
 """Of a noise's strength: its finite step.  Variances go as its square, of which central differences are exact at any step; short
 ones measure which pixels happen to round to another code (row noise of 2 DN seemed known to .4 % in place of 4)."""
@@ -141,7 +143,7 @@ def fitted_members(
     """A fit of everything free from a pose, in long enough steps, on the lowest stair where members round whole codes anew."""
     fitted = fit(problem, start, free, pose=pose, iterations=iterations)
     for _ in range(LONGER_STEPS if iterations else 0):
-        longer = with_longer_steps(fitted)
+        longer = with_longer_steps(fitted, members)
         if longer == fitted.free:
             break
         fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations)
@@ -151,19 +153,22 @@ def fitted_members(
     return fitted
 
 
-def with_longer_steps(fitted: Fit) -> tuple[Parameter, ...]:
+def with_longer_steps(fitted: Fit, members: Sequence[Member]) -> tuple[Parameter, ...]:
     """What was free, with finite steps of effects at least `SPAN` times as long as values are uncertain, or as their priors.
 
-    Rounded common random numbers give a derivative a noise of one sigma in all rows together, over its step h: as if the
-    parameter were measured to h.  With sigma < h/2 that is less than a quarter of what is known of it.
+    Rounded common random numbers give a derivative a noise of c sigmas in all rows together over its step h: as if the parameter
+    were measured to h/c.  600 rows that are rounded to a fifth of their error bars have c = 5.  Steps of noise stay as
+    they are, and those that reach to both sides stay within bounds.
     """
+    steady = {key for m in members if isinstance(m, Doubt) or _is_noise(m) for key in m.keys}
     sigma = np.sqrt(np.diag(fitted.covariance))
-    return tuple(
-        replace(f, step=min(f.prior, 2 * SPAN * float(s)))
-        if not f.is_nuisance and f.prior and f.step < min(SPAN * s, f.prior)
-        else f
-        for f, s in zip(fitted.free, sigma, strict=True)
-    )
+
+    def longer(f: Parameter, value: float, s: float) -> Parameter:
+        if f.is_nuisance or f.key in steady or f.step >= _long_enough(f, value, s):
+            return f
+        return f.stepped(_long_enough(f, value, 2 * s))
+
+    return tuple(longer(f, float(v), float(s)) for f, v, s in zip(fitted.free, fitted.values, sigma, strict=True))
 
 
 def free_parameters(
@@ -219,20 +224,35 @@ def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dic
     return dict(zip(candidate.keys, map(float, values), strict=True))
 
 
-def first_steps(candidate: Candidate, values: Mapping[str, float]) -> dict[str, float]:
-    """Finite steps of a candidate's parameters near some values."""
+def first_steps(candidate: Candidate, values: Mapping[str, float], sigma: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Finite steps of a candidate's parameters near some values, known to ``sigma`` where that is stated."""
     here = np.array([values[key] for key in candidate.keys])
     steps = np.maximum(candidate.effect.step_share * np.abs(here - candidate.nominal), STEP_SHARE * candidate.tau)
     steps = np.maximum(steps, [CODES * candidate.code_steps.get(key, 0.0) for key in candidate.keys])
-    noise = [candidate.effect.random != "none" and not candidate.effect.rare and p.low == 0.0 for p in candidate.parameters]
-    steps = np.where(noise, np.maximum(NOISE_SHARE * np.abs(here), steps), steps)
-    return dict(zip(candidate.keys, map(float, steps), strict=True))
+    if _is_noise(candidate):
+        steps = np.maximum(NOISE_SHARE * np.abs(here), steps)
+    free = [replace(p, center=v) for p, v in zip(candidate.free(list(steps)), here, strict=True)]
+    known = sigma or {}
+    return {f.key: f.step if _is_noise(candidate) else _long_enough(f, f.center, known.get(f.key, 0.0)) for f in free}
+
+
+def _long_enough(f: Parameter, value: float, sigma: float) -> float:
+    """Its finite step, `SPAN` sigmas at least, or as its prior is wide; one that reaches to both sides stays within bounds."""
+    room = min(value - f.low, f.high - value)
+    return max(f.step, min(SPAN * sigma, f.prior or 0.0, room if room > f.step else np.inf))
+
+
+def _is_noise(candidate: Candidate) -> bool:
+    """Whether its parameters are strengths of noise, as the square of which metrics go."""
+    return candidate.effect.random != "none" and not candidate.effect.rare and all(p.low == 0.0 for p in candidate.parameters)
 
 
 def with_steps(free: Sequence[Parameter], members: Sequence[Member], values: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Free parameters of a fit, those of ``members`` with the finite steps that suit where they stand now."""
-    steps = {key: step for m in members if isinstance(m, Candidate) for key, step in first_steps(m, values).items()}
-    return tuple(replace(f, step=steps.get(f.label, f.step)) for f in free)
+    """Free parameters of a fit, those of ``members`` with the finite steps that suit where they stand now, or longer ones."""
+    candidates = [m for m in members if isinstance(m, Candidate)]
+    steps = {key: step for m in candidates for key, step in first_steps(m, values).items()}
+    noise = {key for m in candidates if _is_noise(m) for key in m.keys}
+    return tuple(f.stepped(max(steps.get(f.label, 0.0), 0.0 if f.label in noise else f.step)) for f in free)
 
 
 def smallest_detectable(score: Score, alpha_sigma: float = 3.67, power_sigma: float = 1.64) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Candidate, Doubt, Signature
 from isetval.loop.evidence import (
-    SPAN,
     Hypothesis,
     Member,
     first_steps,
@@ -170,16 +169,17 @@ def _references(case: Investigation) -> list[Hypothesis]:
         if names not in case.known:
             near = case.standing
             values = {key: near.values[key] for m in part for key in m.keys}
+            sigma = {key: near.value(key)[1] for m in part for key in m.keys}
             case.known[names] = refit(
-                case.problem, case.prepared.model, near, list(part), values, _steps(part, values), iterations=0
+                case.problem, case.prepared.model, near, list(part), values, _steps(part, values, sigma), iterations=0
             )
             case.rough.add(names)
         out[names] = case.known[names]
     return list(out.values())
 
 
-def _steps(members: Sequence[Member], values: dict[str, float]) -> dict[str, float]:
-    return {key: h for m in members if isinstance(m, Candidate) for key, h in first_steps(m, values).items()}
+def _steps(members: Sequence[Member], values: dict[str, float], sigma: Mapping[str, float] | None = None) -> dict[str, float]:
+    return {key: h for m in members if isinstance(m, Candidate) for key, h in first_steps(m, values, sigma).items()}
 
 
 def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
@@ -196,8 +196,7 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
             start = added.get(m.name, np.zeros(len(m.keys)))
             values |= first_values(m, case.signatures[m.name], start)
     values = {key: values[key] for m in members for key in m.keys}
-    steps = _steps(members, values)
-    steps |= {key: max(steps[key], s) for key, s in sigma.items()}
+    steps = _steps(members, values, sigma)
     drawn = any(isinstance(m, Candidate) and m.effect.rare and m.name not in reference.names for m in members)
     promised = weighed.log_evidence if weighed is not None and drawn else None
     found = refit(case.problem, case.prepared.model, reference, members, values, steps, promised)
@@ -227,24 +226,22 @@ def _at_its_own_weights(case: Investigation, found: Hypothesis) -> Hypothesis:
 def _added_values(
     case: Investigation, reference: Hypothesis, names: Names, weighed: Weighed
 ) -> tuple[dict[str, Float], dict[str, float]]:
-    """What a subset adds to its reference as the linear model has it, and finite steps long enough for how well that is known.
+    """What a subset adds to its reference as the linear model has it.
 
-    Values by name, in units of the priors' widths; steps by key.
+    Values by name, in units of the priors' widths; sigmas by key.
     """
-    terms = terms_beside(case, reference)
     sigma = np.sqrt(np.diag(weighed.covariance))
     values: dict[str, Float] = {}
-    steps: dict[str, float] = {}
+    sigmas: dict[str, float] = {}
     place = len(reference.fitted.free)
-    for term in terms:
+    for term in terms_beside(case, reference):
         if term.name in names:
             own = slice(place, place + term.tau.size)
             values[term.name] = weighed.values[own]
-            steps |= dict(
-                zip(case.member(term.name).keys, map(float, term.tau * np.minimum(SPAN * sigma[own], 1.0)), strict=False)
-            )
+            if keys := case.member(term.name).keys:
+                sigmas |= dict(zip(keys, map(float, term.tau * sigma[own]), strict=True))
             place += term.tau.size
-    return values, steps
+    return values, sigmas
 
 
 def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
