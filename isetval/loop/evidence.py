@@ -25,6 +25,7 @@ STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's par
 SPAN = 10.0
 """Sigmas of a value that its finite step is long at least, or its prior's width: above the noise of rounded common random
 numbers, and well inside the 50 within which signatures are straight (`candidates.WANTED`)."""
+IMITATED = 10.0  # ratio of a value's sigma to that with all else known; a tenth is left, of which derivatives 3 % off are a third
 LONGER_STEPS = 4  # times that steps are made longer: twentyfold and more each, where sigmas were found too small
 NOISE_SHARE = 0.5
 """Of a noise's strength: its finite step.  Variances go as its square, of which central differences are exact at any step; short
@@ -142,15 +143,24 @@ def fitted_members(
 ) -> Fit:
     """A fit of everything free from a pose, in long enough steps, on the lowest stair where members round whole codes anew."""
     fitted = fit(problem, start, free, pose=pose, iterations=iterations)
-    for _ in range(LONGER_STEPS if iterations else 0):
+    for turn in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted, members)
-        if longer == fitted.free:
+        anew = turn < 2 and _is_imitated(fitted)
+        if longer == fitted.free and not anew:
             break
+        if anew:
+            problem.columns.clear()
         fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations)
     for member in members if iterations else ():
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)
     return fitted
+
+
+def _is_imitated(fitted: Fit) -> bool:
+    """Whether all else that is free can do nearly what an effect does: remembered derivatives, 3 % off, would tell them apart."""
+    size = np.linalg.norm(fitted.jacobian, axis=0) * np.sqrt(np.diag(fitted.covariance))
+    return any(not f.is_nuisance and s > IMITATED for f, s in zip(fitted.free, size, strict=True))
 
 
 def with_longer_steps(fitted: Fit, members: Sequence[Member]) -> tuple[Parameter, ...]:

@@ -24,6 +24,7 @@ STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives ar
 SCALED = 0.1  # change of a relative parameter (light, efficiency) that scales the derivatives of all others by as much
 LEAST_FACTOR = 1e-3  # step of a factor that fell to nothing: its slope is that of the light itself
 LONGEST = 1.5  # of a factor's logarithm in one step: four times and a quarter, beyond the width of any prior
+KINK = 2.0  # ratio of slopes ahead and behind beyond which one is of a saturated level; of a square at half steps it is 1.7
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
 ALIKE = 0.995  # cosine above which an effect imitates focus: finite steps of the two differ by about a percent
 POSED = 0.1  # prior sigmas within which a nuisance is predicted by its derivatives: what bends there is a hundredth of what it
@@ -182,16 +183,34 @@ def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sid
     sides = [(key, sign) for key in groups for sign in ((1, -1) if twice[key] else (1,))]
     moved = [at(point, groups[key], [_value(f, point) + sign * steps[f.label] for f in groups[key]]) for key, sign in sides]
     here, *vectors = problem.predictor.derivative_vectors([point, *moved], problem.seeds)
-    seen = dict(zip(sides, vectors, strict=True))
+    seen = {(key, sign): sign * (vector - here) for (key, sign), vector in zip(sides, vectors, strict=True)}
+    lost = [key for key in groups if not twice[key] and np.any(np.isnan(seen[key, 1]) & np.isfinite(here))]
+    back = [at(point, groups[key], [_value(f, point) - steps[f.label] for f in groups[key]]) for key in lost]
+    if lost:
+        seen |= {
+            (key, -1): here - v for key, v in zip(lost, problem.predictor.derivative_vectors(back, problem.seeds), strict=True)
+        }
     patches = np.array([m.patch for m in problem.predictor.table.metrics]) if any(f.patch for f in wanted) else None
 
     def slope(f: Parameter) -> Float:
         key = _together(f)
-        rise = (seen[key, 1] - seen[key, -1]) / 2 if twice[key] else seen[key, 1] - here
+        rise = _of_both(seen[key, 1], seen[key, -1], middle=twice[key]) if (key, -1) in seen else seen[key, 1]
         own = rise if patches is None or not f.patch else np.where(patches == f.patch, rise, 0.0)
         return np.nan_to_num(own / steps[f.label])
 
     return [slope(f) for f in wanted]
+
+
+def _of_both(ahead: Float, behind: Float, *, middle: bool) -> Float:
+    """Differences of a step ahead and of one behind (metrics,): their ``middle``, or that ahead; where one is lost, the other.
+
+    A level that saturates on one side feels little of a step there, or is no row any more: what it feels here is the
+    larger of the two.  Of red and blue gains beside a tilt of the light one such row decided, by 3,000 sigmas.
+    """
+    both = (ahead + behind) / 2 if middle else ahead
+    kinked = middle & (ahead * behind > 0) & (np.maximum(abs(ahead), abs(behind)) > KINK * np.minimum(abs(ahead), abs(behind)))
+    both = np.where(kinked, np.where(abs(ahead) > abs(behind), ahead, behind), both)
+    return np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, both))
 
 
 def _together(f: Parameter) -> str:

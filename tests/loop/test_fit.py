@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isetval.core.parameter import Parameter
-from isetval.loop.fit import far_values, fit, jacobian, made_parallel, moved_far, walked
+from isetval.loop.fit import _of_both, far_values, fit, jacobian, made_parallel, moved_far, walked
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 
@@ -183,3 +183,12 @@ def test_a_nuisance_near_the_pose_is_led_there_by_its_derivatives():
     assert again.pose == first.pose
     assert bent.predictor.calls == calls + 3  # each of them at the pose, which the store knows
     np.testing.assert_allclose(again.values, first.values, atol=1e-3)
+
+
+def test_a_level_that_saturates_on_one_side_has_the_slope_of_the_other():
+    """Ahead it is no row any more, or stays where it is; metrics that bend, and those of noise, keep their middle."""
+    ahead = np.array([np.nan, 0.1, 1.0, -2.0, 2.5, np.nan])
+    behind = np.array([1.0, 1.0, 1.1, 2.0, 1.5, np.nan])
+    assert np.allclose(_of_both(ahead, behind, middle=True)[:5], [1.0, 1.0, 1.05, 0.0, 2.0])
+    assert np.allclose(_of_both(ahead, behind, middle=False)[:5], [1.0, 0.1, 1.0, -2.0, 2.5])
+    assert np.isnan(_of_both(ahead, behind, middle=True)[5])
