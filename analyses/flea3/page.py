@@ -247,7 +247,7 @@ def _verdict(result: dict[str, Any]) -> list[str]:
         f"<p>Response fitted on the charts without 650 nm, .25 s and 2 s: offset {verdict['offset_dn'][0]:.3f} DN, bend "
         f"{verdict['bend'][0]:.4f}; frozen on the rest:</p>",
         table(["captures", "response", "rows", "rms error %", "median z"], frozen),
-        "<p>isetval compare with the whole model, nuisances refitted on each part; no rung settled:</p>",
+        "<p>isetval compare with the whole model, nuisances refitted on each part:</p>",
         table(["captures", "model", "n", "mean-square z", "rms error %"], ladder),
         named,
     ]

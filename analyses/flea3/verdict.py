@@ -91,8 +91,10 @@ def verdict(
 
 
 def ladder(models: list[isetval.CameraModel], campaign: Campaign, say: Say | None) -> list[dict[str, Any]]:
-    """Mean-square z and relative error of each model over all families, nuisances refitted."""
+    """Mean-square z and relative error of each model over all families, nuisances refitted, and whether that fit settled."""
     sampled = [m.sampled_as(campaign.sensor) for m in models]
-    rows = isetval.compare(sampled, campaign, say=say).ladder
+    found = isetval.compare(sampled, campaign, say=say)
     names = ("model", "family", "n", "mean_square_z", "rms_relative_error")
-    return [{k: getattr(row, k) for k in names} for row in rows if row.family != "all"]
+    unsettled = {m.name for m in sampled for note in found.notes if note.startswith(f"{m.name}: ") and "did not settle" in note}
+    rows = [row for row in found.ladder if row.family != "all"]
+    return [{k: getattr(row, k) for k in names} | {"settled": row.model not in unsettled} for row in rows]

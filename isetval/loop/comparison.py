@@ -71,7 +71,7 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel]) -> list[Ladde
     rows = []
     sessions = np.array([m.measurement_session for m in prepared.table.metrics])
     for model in models:
-        problem, fit = prepared.problem_for(model), prepared.fit_nuisances(model)
+        problem, fit = prepared.settled(model)
         metrics = [problem.predictor.table.metrics[i] for i in problem.keep]
         families = np.array([m.family for m in metrics])
         inside = fitted_to(models, prepared.campaign.name, metrics)
@@ -235,12 +235,11 @@ def comparison_of(
     teller = Teller.of(say)
     notes = list(prepared.table.notes)
     for model in models:
-        fitted = prepared.fit_nuisances(model)
+        problem, fitted = prepared.settled(model)
         if not fitted.converged:
             notes.append(f"{model.name}: the fit of the laboratory's unknowns did not settle; its errors are upper bounds")
-        frames.append(_rows(prepared, model, fitted))
+        frames.append(_rows(prepared, problem, model, fitted))
         nuisances[model.name] = {f.label: fitted.value(f.label) for f in fitted.free}
-        problem = prepared.problem_for(model)
         moved = region_change(problem, fitted, prepared.campaign, teller) if regions else None
         budget += error_budget(prepared, problem, fitted, moved)
     return Comparison(
@@ -255,10 +254,9 @@ def comparison_of(
     )
 
 
-def _rows(prepared: Prepared, model: CameraModel, fitted: Fit) -> pd.DataFrame:
+def _rows(prepared: Prepared, problem: Problem, model: CameraModel, fitted: Fit) -> pd.DataFrame:
     import pandas as pd
 
-    problem: Problem = prepared.problem_for(model)
     keep = problem.keep
     metrics = [problem.predictor.table.metrics[i] for i in keep]
     names = [n for n in METRIC_FIELDS if n not in NOT_SHOWN]

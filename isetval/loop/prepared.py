@@ -43,6 +43,7 @@ class Prepared:
     problem: Problem
     fits: dict[str, Fit] = field(default_factory=dict)
     problems: dict[str, Problem] = field(default_factory=dict)
+    places: dict[str, tuple[Problem, Fit]] = field(default_factory=dict)
 
     def problem_for(
         self, model: CameraModel, *, seeds: tuple[int, ...] = DERIVATIVE_SEEDS, values: Mapping[str, float] | None = None
@@ -72,6 +73,12 @@ class Prepared:
         another focus they may have driven the other nuisances away, which start at zero again.
         """
         model = model.sampled_as(self.campaign.sensor)
+        key = model.digest()
+        if key not in self.places:
+            self.places[key] = self._settled(model)
+        return self.places[key]
+
+    def _settled(self, model: CameraModel) -> tuple[Problem, Fit]:
         problem, fitted = self.problem_for(model), self.fit_nuisances(model)
         values: dict[str, float] = {}
         for _ in range(MAX_PLACES):
