@@ -16,6 +16,9 @@ from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.effects.pupil import CircularPupil
+from isetval.effects.ray_transfer import TracedPupil
+from isetval.lens import default_lens
+from isetval.lens.focus import film_for_object
 from isetval.loop.score_test import Frame, cosine, score
 from isetval.scenes.pictures import SpectralPicture
 from isetval.scenes.planar import StraightEdge
@@ -82,6 +85,19 @@ def test_few_wavelengths_of_the_lens_are_within_2e_4_of_a_step_of_all(focus_um, 
     for i, wavelength in enumerate(grid):
         alone = SpectralPicture(spectra[[i]], parts, halo, s, averaged=True)
         exact = alone.sample(np.ones((1, 1, 1)), transfer, np.array([wavelength]))
+        assert np.abs(found[i] - exact[0]).max() < 2e-4
+
+
+def test_a_picture_behind_a_lens_file_is_the_sum_of_its_wavelengths():
+    lens, grid, halo = default_lens(), np.array([450.0, 500.0, 550.0, 600.0, 650.0]), 12
+    pupil = TracedPupil(lens, 3.9, 1.0, film_for_object(lens, 1.0), (0.5, 0.3), 1.4)
+    label = np.zeros((64, 70), np.intp)
+    label[:, 35:] = 1
+    spectra = np.array([[0.2, 0.9], [0.3, 0.8], [0.2, 0.7], [0.5, 0.6], [0.1, 0.9]])
+    found = SpectralPicture.of_labels(label, spectra, halo).sample(np.ones((5, 1, 1)), pupil.transfer, grid)
+    for i, wavelength in enumerate(grid):
+        alone = SpectralPicture(spectra[[i]], np.eye(2)[:, label], halo)
+        exact = alone.sample(np.ones((1, 1, 1)), pupil.transfer, np.array([wavelength]))
         assert np.abs(found[i] - exact[0]).max() < 2e-4
 
 
