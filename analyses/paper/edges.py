@@ -33,6 +33,8 @@ from analyses.paper.common import (
     rms,
     write_rows,
 )
+from isetval.lens import load_lens
+from isetval.lens.focus import object_for_film
 
 CURVES = tuple((focus, edge) for focus in ("0.5", "0.3") for edge in ("0.5", "0.3"))
 FILM_MM = {"0.5": 0.49234, "0.3": 0.57624}  # of the published renders (public scripts of the paper)
@@ -43,6 +45,7 @@ OFF_FOCUS_UM = tuple({"focus_0.5": a, "focus_0.3": -a} for a in (-2.0, 2.0))  # 
 RISE_CY_MM = 110.0  # noise of a curve grows from none at 0 (curves are 1 there) to this; 24 simulated captures of each region
 HIGHEST_CY_MM = 350.0  # just below the sampling limit of the pixels, where the published curves end
 WITHIN = 0.05  # of MTF50
+FOCAL_MM, FOCUS_UM = 4.38, 6.0  # camera.toml; prior of a focus setting, campaign.toml
 
 
 @dataclass(frozen=True)
@@ -281,6 +284,7 @@ def run(data: Path, work: Path) -> Result:
     from_blurred, from_sharp = predicted(folder, blurred), predicted(folder, sharp)
     halves = _halves(from_sharp, from_blurred)
     claims.append(_held_claim(from_sharp, from_blurred, measured, printed))
+    claims.append(_stood_claim(folder, last))
     claims.append(
         Claim(
             claim="which physics do the four curves ask for",
@@ -305,6 +309,28 @@ def run(data: Path, work: Path) -> Result:
             "differences under the window of the authors' procedure, which ties neighbouring frequencies together (24 simulated "
             "captures of each region show the same); below three of its sigmas a curve is its own noise floor.",
         ),
+    )
+
+
+def _stood_claim(folder: Path, last: Rung) -> Claim:
+    """Where the lens stood: object distances of the fitted focus settings beside those of the films that the authors tuned."""
+    lens = load_lens(folder / "lens.json")
+    tuned = {focus: object_for_film(lens, film) for focus, film in FILM_MM.items()}
+    found = {k.rpartition(":")[2][-3:]: v for k, v in (last.fitted or {}).items() if k.startswith("focus_um")}
+    focal_mm = FOCAL_MM + next(v for k, (v, _) in (last.fitted or {}).items() if k.startswith("aperture.focal_mm"))
+    ours = {focus: 1 / (1 / float(focus) + v / focal_mm**2) for focus, (v, _) in found.items()}  # um/mm2 is 1/m
+    off = {focus: v / FOCUS_UM for focus, (v, _) in found.items()}
+    return Claim(
+        claim="where the lens stood in the captures 'focused at .5 m' and 'at .3 m' (object distance in m)",
+        published=", ".join(f"{focus}: film {FILM_MM[focus]} mm, which focuses {tuned[focus]:.2f}" for focus in found),
+        measured="not stated",
+        ours=", ".join(
+            f"{focus}: {ours[focus]:.2f} (film {found[focus][0]:+.0f} um, {off[focus]:.1f} sigmas)" for focus in found
+        ),
+        missing="the focus position of each capture, which the phone writes into its files",
+        sure="in the second setting both simulations need a lens that stood nearer than .3 m; how much nearer hangs on pupil, "
+        "on the colour of its focus and on the focal length, which these curves do not tell apart",
+        numbers={f"object_m_{focus}": ours[focus] for focus in found} | {f"tuned_m_{focus}": tuned[focus] for focus in found},
     )
 
 
