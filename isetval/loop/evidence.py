@@ -25,6 +25,7 @@ STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's par
 SPAN = 10.0
 """Sigmas of a value that its finite step is long at least, or its prior's width: above the noise of rounded common random
 numbers, and well inside the 50 within which signatures are straight (`candidates.WANTED`)."""
+FAR_TOO_LONG = 2.0  # times what is ample: a step that the linear model asked for, and that a level may end on
 IMITATED = 10.0  # ratio of a value's sigma to that with all else known; a tenth is left, of which derivatives 3 % off are a third
 LONGER_STEPS = 4  # times that steps are made longer: twentyfold and more each, where sigmas were found too small
 NOISE_SHARE = 0.5
@@ -167,18 +168,22 @@ def with_longer_steps(fitted: Fit, members: Sequence[Member]) -> tuple[Parameter
     """What was free, with finite steps of effects at least `SPAN` times as long as values are uncertain, or as their priors.
 
     Rounded common random numbers give a derivative a noise of c sigmas in all rows together over its step h: as if the parameter
-    were measured to h/c.  600 rows that are rounded to a fifth of their error bars have c = 5.  Steps of noise stay as
-    they are, and those that reach to both sides stay within bounds.
+    were measured to h/c.  600 rows that are rounded to a fifth of their error bars have c = 5.  Steps of what is
+    random stay as they are: its metrics go as its square.
     """
-    steady = {key for m in members if isinstance(m, Doubt) or _is_noise(m) for key in m.keys}
+    steady = {key for m in members if isinstance(m, Doubt) or m.effect.random != "none" for key in m.keys}
     sigma = np.sqrt(np.diag(fitted.covariance))
 
-    def longer(f: Parameter, value: float, s: float) -> Parameter:
-        if f.is_nuisance or f.key in steady or f.step >= _long_enough(f, value, s):
-            return f
-        return f.stepped(_long_enough(f, value, 2 * s))
+    values = dict(zip((f.label for f in fitted.free), map(float, fitted.values), strict=True))
+    least = {key: h for m in members if isinstance(m, Candidate) for key, h in first_steps(m, values).items()}
 
-    return tuple(longer(f, float(v), float(s)) for f, v, s in zip(fitted.free, fitted.values, sigma, strict=True))
+    def longer(f: Parameter, s: float) -> Parameter:
+        if f.is_nuisance or f.key in steady:
+            return f
+        enough, ample = (_long_enough(f.stepped(least[f.key]), k * s) for k in (1, 2))
+        return f if enough <= f.step <= FAR_TOO_LONG * ample else f.stepped(ample)
+
+    return tuple(longer(f, float(s)) for f, s in zip(fitted.free, sigma, strict=True))
 
 
 def free_parameters(
@@ -241,15 +246,13 @@ def first_steps(candidate: Candidate, values: Mapping[str, float], sigma: Mappin
     steps = np.maximum(steps, [CODES * candidate.code_steps.get(key, 0.0) for key in candidate.keys])
     if _is_noise(candidate):
         steps = np.maximum(NOISE_SHARE * np.abs(here), steps)
-    free = [replace(p, center=v) for p, v in zip(candidate.free(list(steps)), here, strict=True)]
-    known = sigma or {}
-    return {f.key: f.step if _is_noise(candidate) else _long_enough(f, f.center, known.get(f.key, 0.0)) for f in free}
+    known = sigma or {} if candidate.effect.random == "none" else {}
+    return {f.key: _long_enough(f, known.get(f.key, 0.0)) for f in candidate.free(list(steps))}
 
 
-def _long_enough(f: Parameter, value: float, sigma: float) -> float:
-    """Its finite step, `SPAN` sigmas at least, or as its prior is wide; one that reaches to both sides stays within bounds."""
-    room = min(value - f.low, f.high - value)
-    return max(f.step, min(SPAN * sigma, f.prior or 0.0, room if room > f.step else np.inf))
+def _long_enough(f: Parameter, sigma: float) -> float:
+    """Its finite step, `SPAN` sigmas at least, or as its prior is wide."""
+    return max(f.step, min(SPAN * sigma, f.prior or 0.0))
 
 
 def _is_noise(candidate: Candidate) -> bool:

@@ -190,25 +190,30 @@ def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sid
         seen |= {
             (key, -1): here - v for key, v in zip(lost, problem.predictor.derivative_vectors(back, problem.seeds), strict=True)
         }
+    effects = any(not f.is_nuisance for f in wanted)
+    levels = np.array([m.unit == "DN" for m in problem.predictor.table.metrics], bool) if effects else np.zeros(here.size, bool)
     patches = np.array([m.patch for m in problem.predictor.table.metrics]) if any(f.patch for f in wanted) else None
 
     def slope(f: Parameter) -> Float:
         key = _together(f)
-        rise = _of_both(seen[key, 1], seen[key, -1], middle=twice[key]) if (key, -1) in seen else seen[key, 1]
+        rise = (
+            _of_both(seen[key, 1], seen[key, -1], levels & twice[key], middle=twice[key]) if (key, -1) in seen else seen[key, 1]
+        )
         own = rise if patches is None or not f.patch else np.where(patches == f.patch, rise, 0.0)
         return np.nan_to_num(own / steps[f.label])
 
     return [slope(f) for f in wanted]
 
 
-def _of_both(ahead: Float, behind: Float, *, middle: bool) -> Float:
+def _of_both(ahead: Float, behind: Float, levels: NDArray[np.bool_], *, middle: bool) -> Float:
     """Differences of a step ahead and of one behind (metrics,): their ``middle``, or that ahead; where one is lost, the other.
 
-    A level that saturates on one side feels little of a step there, or is no row any more: what it feels here is the
-    larger of the two.  Of red and blue gains beside a tilt of the light one such row decided, by 3,000 sigmas.
+    One of the ``levels`` that saturates on one side feels little of a step there, or is no row any more: what it feels here is
+    the larger of the two (variances go as the square of a noise, and keep the middle).  Of red and blue gains beside a tilt
+    of the light one such row decided, by 3,000 sigmas.
     """
     both = (ahead + behind) / 2 if middle else ahead
-    kinked = middle & (ahead * behind > 0) & (np.maximum(abs(ahead), abs(behind)) > KINK * np.minimum(abs(ahead), abs(behind)))
+    kinked = levels & (ahead * behind > 0) & (np.maximum(abs(ahead), abs(behind)) > KINK * np.minimum(abs(ahead), abs(behind)))
     both = np.where(kinked, np.where(abs(ahead) > abs(behind), ahead, behind), both)
     return np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, both))
 

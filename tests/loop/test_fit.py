@@ -187,8 +187,9 @@ def test_a_nuisance_near_the_pose_is_led_there_by_its_derivatives():
 
 def test_a_level_that_saturates_on_one_side_has_the_slope_of_the_other():
     """Ahead it is no row any more, or stays where it is; metrics that bend, and those of noise, keep their middle."""
-    ahead = np.array([np.nan, 0.1, 1.0, -2.0, 2.5, np.nan])
-    behind = np.array([1.0, 1.0, 1.1, 2.0, 1.5, np.nan])
-    assert np.allclose(_of_both(ahead, behind, middle=True)[:5], [1.0, 1.0, 1.05, 0.0, 2.0])
-    assert np.allclose(_of_both(ahead, behind, middle=False)[:5], [1.0, 0.1, 1.0, -2.0, 2.5])
-    assert np.isnan(_of_both(ahead, behind, middle=True)[5])
+    ahead = np.array([np.nan, 0.1, 1.0, -2.0, 3.0, np.nan])
+    behind = np.array([1.0, 1.0, 1.1, 2.0, 1.0, np.nan])
+    levels = np.array([True, True, True, True, False, True])
+    assert np.allclose(_of_both(ahead, behind, levels, middle=True)[:5], [1.0, 1.0, 1.05, 0.0, 2.0])
+    assert np.allclose(_of_both(ahead, behind, ~(levels | True), middle=False)[:5], [1.0, 0.1, 1.0, -2.0, 3.0])
+    assert np.isnan(_of_both(ahead, behind, levels, middle=True)[5])

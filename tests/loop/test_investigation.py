@@ -300,7 +300,7 @@ def test_the_strength_of_a_noise_is_as_sure_as_its_variances(sigma):
 
 
 class RoundedCamera(LinearCamera):
-    """Two effects that no metric tells apart, in rounded numbers: a noise of a sigma in all rows together at every point."""
+    """Two effects that no metric tells apart, in rounded numbers: a noise of half a sigma in all rows together at every point."""
 
     SAME = ("dark_current.rate_e_per_s", "black_level.offset_dn")
     SLOPE = np.array([400.0, 300.0, 0, 0, 0, 0])  # sigmas per unit of the prior's width
@@ -313,7 +313,7 @@ class RoundedCamera(LinearCamera):
         out = []
         for p in points:
             values = [self.offset(p.model, key) / self.tau[key] for key in self.SAME]
-            noise = np.random.default_rng(np.array(values).view(np.uint64)).standard_normal(ROWS) / np.sqrt(ROWS)
+            noise = np.random.default_rng(np.array(values).view(np.uint64)).standard_normal(ROWS) / np.sqrt(4 * ROWS)
             out.append(sum(values) * self.SLOPE + noise)
         return out
 
