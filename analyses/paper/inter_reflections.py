@@ -189,10 +189,6 @@ def run(data: Path, work: Path) -> Result:
             three(ours),
             f"{100 * ours_error:.1f} %",
         ),
-        *(
-            (f"all bounces, and {words}", "pulls left / right {:+.3f} / {:+.3f}".format(*pull), "")
-            for words, pull in rooms.items()
-        ),
     )
     return Result(
         key="inter_reflections",
