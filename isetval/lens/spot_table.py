@@ -111,7 +111,7 @@ def refined(offset_mm: FloatArray, share: FloatArray, frequency_cy_mm: float) ->
     rings, azimuths = rays_for(offset_mm, frequency_cy_mm)
     along, around = _resampling(rings, azimuths)
     area, finer_area = _ring_area(RINGS), _ring_area(rings)
-    places = np.einsum("ij,kjl,ml->kim", along, offset_mm.reshape(2, RINGS, AZIMUTHS), around)
+    places = along @ offset_mm.reshape(2, RINGS, AZIMUTHS) @ around.T
     density = along @ (share.reshape(RINGS, AZIMUTHS) / area[:, None]) @ around.T
     light = (density * finer_area[:, None]).ravel()
     return places.reshape(2, -1), light / light.sum()
