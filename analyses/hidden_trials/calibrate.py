@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 import isetval
-from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.fit import fit
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 from isetval.loop.score_test import make_frame

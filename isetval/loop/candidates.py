@@ -15,7 +15,8 @@ from isetval.core.campaign import Campaign
 from isetval.core.effect import Effect, ParameterInfo
 from isetval.core.parameter import Parameter
 from isetval.effects import catalogue
-from isetval.loop.fit import Fit, far_values, made_parallel
+from isetval.loop.derivatives import made_parallel
+from isetval.loop.fit import Fit, far_values
 from isetval.loop.prediction import RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 from isetval.loop.problem import Problem
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.loop.fit import Fit, at, fit
+from isetval.loop.derivatives import at
+from isetval.loop.fit import Fit, fit
 from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.problem import Problem
 

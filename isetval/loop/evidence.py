@@ -12,7 +12,8 @@ from isetval.camera.model import CameraModel
 from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate, Doubt, Signature
 from isetval.loop.code_stair import CODES, on_lowest_step
-from isetval.loop.fit import MAX_ITERATIONS, Fit, fit, nuisance_parameters
+from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
 from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem

@@ -8,25 +8,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.camera.model import CameraModel
-from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.parameter import Parameter
+from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, at, jacobian
 from isetval.loop.gaussian import hessian, prior_weights
 from isetval.loop.prediction import Point
-from isetval.loop.problem import Column, Problem
+from isetval.loop.problem import Problem
 
 Float = NDArray[np.float64]
 MAX_ITERATIONS = 20  # Gauss-Newton steps: a bound on cost; a fit that ends there says that it has not converged
 MAX_FAILURES = 2  # steps in a row that help no more than rounding may: a third would be below the fit's own noise
 RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
-STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
-SCALED = 0.1  # change of a relative parameter (light, efficiency) that scales the derivatives of all others by as much
-LEAST_FACTOR = 1e-3  # step of a factor that fell to nothing: its slope is that of the light itself
 LONGEST = 1.5  # of a factor's logarithm in one step: four times and a quarter, beyond the width of any prior
-KINK = 2.0  # ratio of slopes ahead and behind beyond which one is of a saturated level; of a square at half steps it is 1.7
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
-ALIKE = 0.995  # cosine above which an effect imitates focus: finite steps of the two differ by about a percent
 POSED = 0.1  # prior sigmas within which a nuisance is predicted by its derivatives: what bends there is a hundredth of what it
 # does in the whole width.  Hypotheses that are simulated at one pose see one noise, and shots that nothing else moves are known
 POSED_FACTOR = 1e-3  # of a factor: its product with an effect of a tenth bends by 1e-4, as well as the best means are known
@@ -62,88 +56,6 @@ class Fit:
         return float(self.values[i]), float(np.sqrt(self.covariance[i, i]))
 
 
-def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Parameter, ...]:
-    """The campaign's nuisances as free parameters; ``without`` names camera parameters that lose theirs."""
-    free = (p for p in plan.unknowns() if not (p.owner and p.key in without))
-    return tuple(_within_bounds(p, model) if p.owner else p for p in free)
-
-
-def _within_bounds(tolerance: Parameter, model: CameraModel) -> Parameter:
-    """The tolerance of a camera parameter with the bounds that the effect sets, as differences from the model's value.
-
-    Raises
-    ------
-    InputError
-        If the model has no such parameter.
-    """
-    value = model.value(tolerance.key)
-    effect = model.effect(tolerance.owner)
-    info = next(p for p in effect.parameters() if p.name == tolerance.name) if effect else None
-    return replace(tolerance, low=info.low - value, high=info.high - value) if info else tolerance
-
-
-def at(point: Point, free: Sequence[Parameter], values: Sequence[float]) -> Point:
-    """The point with parameters set (clipped to their bounds)."""
-    nuisances = dict(point.values)
-    camera: dict[str, float] = {}
-    for parameter, value in zip(free, values, strict=True):
-        clipped = float(np.clip(value, parameter.low, parameter.high))
-        (nuisances if parameter.is_nuisance else camera)[parameter.label] = clipped
-    model = point.model.with_values(camera) if camera else point.model
-    return Point(model, nuisances)
-
-
-def jacobian(
-    problem: Problem, point: Point, free: Sequence[Parameter], *, stale: float = STALE, both_sides: bool = False
-) -> Float:
-    """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
-
-    Columns of nuisances are remembered, and taken again where the problem bends: when one that is `curved`
-    and shares rows with them has moved by more than ``stale`` of its prior sigmas, or a relative one by a tenth.  With
-    ``both_sides`` columns of effects are central differences: a variance goes as the square of its parameter.
-    """
-    moved = _moved(problem, point, free, stale)
-    wanted = [f for f in free if not f.is_nuisance or f.label not in problem.columns or f.label in moved]
-    raw = dict(zip((f.label for f in wanted), slopes(problem, point, wanted, both_sides), strict=True))
-    here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
-    problem.columns.update({f.label: Column(raw[f.label], here) for f in wanted if f.is_nuisance})
-    focus = [problem.columns[f.label].slope for f in free if f.focus]
-    raw |= {f.label: made_parallel(problem, raw[f.label], focus) for f in wanted if not f.is_nuisance}
-    if not free:
-        return np.zeros((problem.keep.size, 0))
-    return problem.whitened(np.column_stack([raw[f.label] if f.label in raw else problem.columns[f.label].slope for f in free]))
-
-
-def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float) -> set[str]:
-    """Nuisances whose remembered column no longer holds at a point."""
-    known = [(f.label, problem.columns[f.label]) for f in free if f.label in problem.columns]
-    curved = {f.label: stale * f.reach for f in free if f.curved}
-    limits = {f.label: SCALED for f in free if f.unit == "relative"} | curved
-    rows = {key: column.slope != 0 for key, column in known}
-    out = set()
-    for key, column in known:
-        moved = (k for k in rows if abs(point.values.get(k, 0.0) - column.taken_at.get(k, 0.0)) > limits.get(k, np.inf))
-        if any(k in curved if k == key else np.any(rows[k] & rows[key]) for k in moved):
-            out.add(key)
-    return out
-
-
-def made_parallel(problem: Problem, column: Float, focus: Sequence[Float]) -> Float:
-    """A raw column (metrics,) of which the part that imitates a focus error is exactly parallel to that error's.
-
-    A defocus is told from an error of the focus scale by the scale's prior only; what the finite steps of the
-    two differ by, a percent of fifty sigmas, would count for more than the prior.
-    """
-    out = column
-    for slope in focus:
-        w, a = problem.whitened(slope), problem.whitened(out)
-        rows = w != 0
-        length = float(np.linalg.norm(w) * np.linalg.norm(a[rows]))
-        if length > 0 and abs(float(a[rows] @ w[rows])) > ALIKE * length:
-            out = np.where(slope != 0, slope * float(a[rows] @ w[rows]) / float(w @ w), out)
-    return np.asarray(out)
-
-
 def far_values(fitted: Fit) -> dict[str, float]:
     """Where weights, too, are made at the place of the fit: focus errors and factors that a fit moved far.
 
@@ -167,75 +79,6 @@ def moved_far(fitted: Fit, made_at: Mapping[str, float]) -> bool:
     focus = {k for k in {*found, *made_at} - factors if found.get(k) != made_at.get(k)}
     apart = (np.log1p(found.get(k, 0.0)) - np.log1p(made_at.get(k, 0.0)) for k in {*found, *made_at} & factors)
     return bool(focus) or any(abs(d) > 1.5 * SCALED for d in apart)  # one step of the grid is rounding
-
-
-def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool = False) -> list[Float]:
-    """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked.
-
-    What moves one patch of a chart is stepped together with the same of all other patches: each has the rows of its own
-    (sparse derivatives by groups of columns: Curtis, Powell, Reid, J. Inst. Math. Appl. 13 (1974) 117).
-    """
-    steps = {f.label: _step_of(f, point) for f in wanted}
-    groups: dict[str, list[Parameter]] = {}
-    for f in wanted:
-        groups.setdefault(_together(f), []).append(f)
-    twice = {key: _on_both_sides(own[0], steps[own[0].label], point, both_sides) for key, own in groups.items()}
-    sides = [(key, sign) for key in groups for sign in ((1, -1) if twice[key] else (1,))]
-    moved = [at(point, groups[key], [_value(f, point) + sign * steps[f.label] for f in groups[key]]) for key, sign in sides]
-    here, *vectors = problem.predictor.derivative_vectors([point, *moved], problem.seeds)
-    seen = {(key, sign): sign * (vector - here) for (key, sign), vector in zip(sides, vectors, strict=True)}
-    lost = [key for key in groups if not twice[key] and np.any(np.isnan(seen[key, 1]) & np.isfinite(here))]
-    back = [at(point, groups[key], [_value(f, point) - steps[f.label] for f in groups[key]]) for key in lost]
-    if lost:
-        seen |= {
-            (key, -1): here - v for key, v in zip(lost, problem.predictor.derivative_vectors(back, problem.seeds), strict=True)
-        }
-    effects = any(not f.is_nuisance for f in wanted)
-    levels = np.array([m.unit == "DN" for m in problem.predictor.table.metrics], bool) if effects else np.zeros(here.size, bool)
-    patches = np.array([m.patch for m in problem.predictor.table.metrics]) if any(f.patch for f in wanted) else None
-
-    def slope(f: Parameter) -> Float:
-        key = _together(f)
-        rise = (
-            _of_both(seen[key, 1], seen[key, -1], levels & twice[key], middle=twice[key]) if (key, -1) in seen else seen[key, 1]
-        )
-        own = rise if patches is None or not f.patch else np.where(patches == f.patch, rise, 0.0)
-        return np.nan_to_num(own / steps[f.label])
-
-    return [slope(f) for f in wanted]
-
-
-def _of_both(ahead: Float, behind: Float, levels: NDArray[np.bool_], *, middle: bool) -> Float:
-    """Differences of a step ahead and of one behind (metrics,): their ``middle``, or that ahead; where one is lost, the other.
-
-    One of the ``levels`` that saturates on one side feels little of a step there, or is no row any more: what it feels here is
-    the larger of the two (variances go as the square of a noise, and keep the middle).  Of red and blue gains beside a tilt
-    of the light one such row decided, by 3,000 sigmas.
-    """
-    both = (ahead + behind) / 2 if middle else ahead
-    kinked = levels & (ahead * behind > 0) & (np.maximum(abs(ahead), abs(behind)) > KINK * np.minimum(abs(ahead), abs(behind)))
-    both = np.where(kinked, np.where(abs(ahead) > abs(behind), ahead, behind), both)
-    return np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, both))
-
-
-def _together(f: Parameter) -> str:
-    """Equal for parameters that are stepped at once."""
-    return replace(f, name=f.name.removesuffix(f":{f.patch}")).label if f.patch else f.label
-
-
-def _value(f: Parameter, point: Point) -> float:
-    return point.values.get(f.label, 0.0) if f.is_nuisance else point.model.value(f.label)
-
-
-def _step_of(f: Parameter, point: Point) -> float:
-    """The step of a finite difference; less light where either would do: in more of it a plane may saturate and feel nothing."""
-    value = _value(f, point)
-    step = min(f.step, max(SCALED * (1 + value), LEAST_FACTOR)) if f.factor else f.step
-    return -step if (f.is_nuisance and not f.curved and value - step >= f.low) or value + step > f.high else step
-
-
-def _on_both_sides(f: Parameter, step: float, point: Point, both_sides: bool) -> bool:
-    return f.curved or (both_sides and not f.is_nuisance and f.low <= _value(f, point) - step <= f.high)
 
 
 def fit(

@@ -15,7 +15,8 @@ from isetval.core.campaign import Campaign
 from isetval.core.jsonable import plain
 from isetval.core.shown import Drawn
 from isetval.loop.candidates import candidates_for, signatures
-from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.fit import fit
 from isetval.loop.next_captures import KEEP, next_captures
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare

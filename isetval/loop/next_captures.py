@@ -18,7 +18,8 @@ from isetval.core.errors import InputError
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure, Window
 from isetval.loop.candidates import Signature, signatures
-from isetval.loop.fit import Fit, jacobian, nuisance_parameters
+from isetval.loop.derivatives import jacobian, nuisance_parameters
+from isetval.loop.fit import Fit
 from isetval.loop.gaussian import orthonormal_basis, with_priors
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem, make_problem

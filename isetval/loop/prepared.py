@@ -16,7 +16,8 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.given import row_words
 from isetval.core.metric import MetricTable
-from isetval.loop.fit import Fit, far_values, fit, moved_far, nuisance_parameters, slopes
+from isetval.loop.derivatives import nuisance_parameters, slopes
+from isetval.loop.fit import Fit, far_values, fit, moved_far
 from isetval.loop.given_side import given_rows
 from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import DERIVATIVE_SEEDS, REPLICAS, Point, Predictor

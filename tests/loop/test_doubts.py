@@ -10,9 +10,10 @@ from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
 from isetval.loop.candidates import WIDER, Signature, candidates_for, doubts_for
+from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import _better
 from isetval.loop.evidence import hypothesis
-from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point

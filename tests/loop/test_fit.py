@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from isetval.core.parameter import Parameter
-from isetval.loop.fit import _of_both, far_values, fit, jacobian, made_parallel, moved_far, walked
+from isetval.loop.derivatives import difference_of_both, jacobian, made_parallel
+from isetval.loop.fit import far_values, fit, moved_far, walked
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 
@@ -190,6 +191,6 @@ def test_a_level_that_saturates_on_one_side_has_the_slope_of_the_other():
     ahead = np.array([np.nan, 0.1, 1.0, -2.0, 3.0, np.nan])
     behind = np.array([1.0, 1.0, 1.1, 2.0, 1.0, np.nan])
     levels = np.array([True, True, True, True, False, True])
-    assert np.allclose(_of_both(ahead, behind, levels, middle=True)[:5], [1.0, 1.0, 1.05, 0.0, 2.0])
-    assert np.allclose(_of_both(ahead, behind, ~(levels | True), middle=False)[:5], [1.0, 0.1, 1.0, -2.0, 3.0])
-    assert np.isnan(_of_both(ahead, behind, levels, middle=True)[5])
+    assert np.allclose(difference_of_both(ahead, behind, levels, middle=True)[:5], [1.0, 1.0, 1.05, 0.0, 2.0])
+    assert np.allclose(difference_of_both(ahead, behind, ~(levels | True), middle=False)[:5], [1.0, 0.1, 1.0, -2.0, 3.0])
+    assert np.isnan(difference_of_both(ahead, behind, levels, middle=True)[5])

@@ -11,9 +11,10 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.loop.candidates import Signature, candidates_for
+from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import CLEAR, ODDS, _better, _is_lost, _lost_words, _proposals
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
-from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point

@@ -10,7 +10,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
-from isetval.loop.fit import nuisance_parameters, slopes
+from isetval.loop.derivatives import nuisance_parameters, slopes
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 

@@ -11,7 +11,7 @@ from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
-from isetval.loop.fit import jacobian, nuisance_parameters
+from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import make_problem
 from isetval.loop.shot_task import Sampled

@@ -9,7 +9,8 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
-from isetval.loop.fit import fit, nuisance_parameters
+from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.fit import fit
 from isetval.loop.prediction import Base, Point
 from isetval.loop.prepared import repeat_gate
 from isetval.loop.problem import Problem
