@@ -79,10 +79,10 @@ def test_a_set_up_that_does_not_repeat_is_not_blamed_on_the_model(model, campaig
     assert told["flat temporal variance"]["helps"] == "set-ups that repeat better"
 
 
-def _box(spp):
+def _box(spp, seed):
     """A small rendered scene of which two patches are measured."""
     boxes = {"wall": (4, 20, 4, 28), "high": (4, 40, 36, 60)}
-    camera, render = {"front": {"z_m": 0.4}}, {"spp": spp, "halo_px": 4, "bands": 5, "subsample": 1, "seed": 1}
+    camera, render = {"front": {"z_m": 0.4}}, {"spp": spp, "halo_px": 4, "bands": 5, "subsample": 1, "seed": seed}
     spec = {"kind": "cornell_box", "parameters": {"bounces": 3}, "camera": camera, "render": render}
     target = RenderedTarget("box", spec, tuple(Patch(name, box, Spectrum.flat(0.5)) for name, box in boxes.items()))
     return Shot("box", "scene", exposure=Exposure(0.002, 55), window=(1500, 2000, 48, 64), target=target)
@@ -90,10 +90,14 @@ def _box(spp):
 
 @pytest.mark.mitsuba
 def test_more_rays_lower_the_share_of_the_render(model):
-    shares = {}
-    for spp in (16, 144):
-        plan = Campaign("box", (_box(spp),), sensor=model.sensor)
-        comparison = isetval.compare(model, isetval.simulate(model, plan, 3))
-        shares[spp] = float(np.mean([row.render / row.sampling for row in comparison.budget]))
-    # nine times the rays: a ninth of the variance, known from a few draws to a factor of two
-    assert 9 / 2 < shares[16] / shares[144] < 9 * 2
+    gains = []
+    for seed in (1, 2, 3):
+        shares = {}
+        for spp in (16, 144):
+            plan = Campaign("box", (_box(spp, seed),), sensor=model.sensor)
+            comparison = isetval.compare(model, isetval.simulate(model, plan, 3))
+            shares[spp] = float(np.mean([row.render / row.sampling for row in comparison.budget]))
+        gains.append(shares[16] / shares[144])
+    # of nine times the rays a ninth of the variance is left where they are drawn apart, and 1 / 27 at borders that a jittered
+    # grid of rays meets (Mitchell, SIGGRAPH 1996); each gain is known to a factor of two from a few draws, three to 1.5
+    assert 9 / 1.5 < float(np.exp(np.mean(np.log(gains)))) < 27 * 1.5

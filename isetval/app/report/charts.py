@@ -22,7 +22,8 @@ def ladder_bars(families: Sequence[str], columns: Sequence[Mapping[str, Row]], *
     if not values:
         return ""
     height = 30 + 19 * len(worst)
-    x = svg.Scale(min(0.5, *values), max(3.0, *values) * 1.15, 168, 452, log=True)
+    left = max(168, LETTER_PX * max(map(len, worst)) + 14)
+    x = svg.Scale(min(0.5, *values), max(3.0, *values) * 1.15, left, 452, log=True)
     parts = [svg.rect(x(0.85), 6, x(1.15) - x(0.85), height - 30, "band"), svg.line(x(1), 6, x(1), height - 24, "one")]
     parts += [
         svg.line(x(v), height - 24, x(v), height - 20, "tick") + svg.text(x(v), height - 9, svg.tick_words(v)) for v in x.ticks()
@@ -31,7 +32,7 @@ def ladder_bars(families: Sequence[str], columns: Sequence[Mapping[str, Row]], *
         y = 16 + 19 * i
         cells = [c[family] for c in columns if family in c]
         places = [x(cell["mean_square_z"]) for cell in cells]
-        parts.append(svg.text(160, y + 4, family.replace("_", " "), anchor="end"))
+        parts.append(svg.text(left - 8, y + 4, family.replace("_", " "), anchor="end"))
         parts.append(svg.line(places[0], y, places[-1], y, "fall"))
         for j, (cell, at) in enumerate(zip(cells, places, strict=True)):
             kind = "before" if j < len(cells) - 1 else f"after {state_of(cell['mean_square_z'], cell['n'])}"
