@@ -73,10 +73,10 @@ def test_published_curve_is_diagnosed_from_the_command_line(folder):
     assert "film_shift_um" in film["estimate"]  # a suspect that was refitted and beaten
     assert film["log_evidence"] - first["forms"][0]["log_evidence"] < np.log(1e-6)
     assert "ray_transfer" not in first["equivalent"]
-    # nor is it asked for beside the loss: it keeps what one of a dozen suspects had before the curve was seen, and more the
-    # curve cannot say: a whole tolerance of the film moves it by less than it was read to
-    assert film["posterior"] < 0.1
+    # the second of these lines fails (.067): beside the loss the film keeps what one of a dozen suspects had before the curve was
+    # seen, since a whole tolerance of it moves the curve by less than it was read to
     assert np.abs(fall_off(LENS_MM + FILM_TOLERANCE_MM) - fall_off(LENS_MM)).max() < READING
+    assert film["posterior"] < 0.01
     model = folder / "lens.toml"
     for i, effect in enumerate(found["effects"]):
         out = folder / f"m{i}.toml"

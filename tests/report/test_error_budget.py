@@ -98,6 +98,6 @@ def test_more_rays_lower_the_share_of_the_render(model):
             comparison = isetval.compare(model, isetval.simulate(model, plan, 3))
             shares[spp] = float(np.mean([row.render / row.sampling for row in comparison.budget]))
         gains.append(shares[16] / shares[144])
-    # of nine times the rays a ninth of the variance is left where they are drawn apart, and 1 / 27 at borders that a jittered
-    # grid of rays meets (Mitchell, SIGGRAPH 1996); each gain is known to a factor of two from a few draws, three to 1.5
-    assert 9 / 1.5 < float(np.exp(np.mean(np.log(gains)))) < 27 * 1.5
+    # nine times the rays: a ninth of the variance, known from a few draws to a factor of two; on the jittered grid of rays it
+    # falls faster than their number (Mitchell, SIGGRAPH 1996), so that single seeds lie at 12 to 19
+    assert 9 / 2 < float(np.exp(np.mean(np.log(gains)))) < 9 * 2
