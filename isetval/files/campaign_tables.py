@@ -38,16 +38,16 @@ class Spectra:
 
     def write(self, stem: str, columns: Mapping[str, Spectrum]) -> str:
         """One file of columns on one wavelength grid; returns its name relative to the campaign."""
-        name = f"spectra/{file_stem(stem)}.csv"
-        while name in self._files:
-            name = name.removesuffix(".csv") + "_.csv"
-        self._files.add(name)
         grid = next(iter(columns.values())).wavelength_nm
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["wavelength_nm", *columns])
         for i, nm in enumerate(grid.tolist()):
             writer.writerow([repr(nm), *(repr(float(s.values[i])) for s in columns.values())])
+        name = f"spectra/{file_stem(stem)}.csv"
+        while name in self._files or _holds_other(self.folder / name, text.getvalue()):
+            name = name.removesuffix(".csv") + "_.csv"
+        self._files.add(name)
         (self.folder / "spectra").mkdir(exist_ok=True)
         write_whole(self.folder / name, text.getvalue())
         return name
@@ -57,6 +57,11 @@ class Spectra:
         if is_flat(spectrum):
             return float(spectrum.values[0])
         return f"{self.write(stem, {'value': spectrum})}:value"
+
+
+def _holds_other(path: Path, text: str) -> bool:
+    """Whether somebody's file with other content stands there."""
+    return path.exists() and path.read_bytes() != text.encode()
 
 
 def is_flat(spectrum: Spectrum) -> bool:

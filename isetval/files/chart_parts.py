@@ -36,17 +36,21 @@ def write_chart_parts(path: Path) -> list[Path]:
     dealt = deal(campaign)
     channels = {light: brightest_channel(campaign, [s for s, _ in dealt if s.light == light]) for light in _lights(dealt)}
     written = []
-    for part in PARTS if dealt else ():
+    for part, file in zip(PARTS, part_files(path), strict=True) if dealt else ():
         shots = {shot.name: replace(shot, channel=channels[shot.light or ""]) for shot, to in dealt if to == part}
         own = replace(
             campaign.only(shots), shots=tuple(shots.values()), camera="", provenance={}, name=f"{campaign.name}, {part}"
         )
         words = ", ".join(f"{light} in {channel}" for light, channel in channels.items())
-        name = f"{path.stem}_{part}.toml"
         remarks = [f"The part of {path.name} to {part} on; of each light its brightest colour alone: {words}."]
-        write_tables(own, path.parent, {s.name: s.files for s in own.shots}, remarks, name=name)
-        written.append(path.parent / name)
+        write_tables(own, path.parent, {s.name: s.files for s in own.shots}, remarks, name=file.name)
+        written.append(file)
     return written
+
+
+def part_files(path: Path) -> list[Path]:
+    """The files of the parts of a campaign's file."""
+    return [path.with_name(f"{path.stem}_{part}.toml") for part in PARTS]
 
 
 def deal(campaign: Campaign) -> list[tuple[Shot, str]]:

@@ -18,6 +18,7 @@ from isetval.core.sensor import Sensor
 from isetval.core.toml import PACKAGE_PREFIX, data_folder
 from isetval.core.writing import write_whole
 from isetval.files.campaign_drafting import Drafting, bracket_scatter, drafted, unscaled_light
+from isetval.files.chart_parts import part_files
 from isetval.files.dng.metadata import UNKNOWN_PITCH_UM
 from isetval.files.draft_priors import camera_words, light_priors, target_priors
 from isetval.files.draft_text import draft_text
@@ -170,7 +171,8 @@ def write_draft(draft: Draft, folder: Path | str) -> Path:
     """
     path = Path(folder) / draft.file
     camera = path.with_name(CAMERA)
-    for file in (path, path.with_suffix(".html"), *([camera] if draft.drafted else [])):  # the page is written next
+    parts = part_files(path)
+    for file in (path, path.with_suffix(".html"), *([camera] if draft.drafted else []), *parts):  # page and parts come next
         if file.exists():
             raise InputError(f"{file}: exists already; rename it first (nothing was written)")
     if draft.drafted is not None:

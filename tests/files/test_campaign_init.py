@@ -324,6 +324,12 @@ def test_no_camera_is_made_of_too_little_and_none_is_overwritten(tmp_path, capsy
     assert main(["campaign", "init", str(tmp_path)]) == 0
     assert "--camera camera.toml" in capsys.readouterr().out
     assert (tmp_path / "camera.toml").read_text() == "mine"
+    (tmp_path / "campaign.toml").unlink()
+    (tmp_path / "campaign.html").unlink()
+    (tmp_path / "campaign_learn.toml").write_text("mine")
+    assert main(["campaign", "init", str(tmp_path)]) != 0
+    assert (tmp_path / "campaign_learn.toml").read_text() == "mine"
+    assert not (tmp_path / "campaign.toml").exists()
 
 
 def test_a_folder_in_which_all_lie_together_is_told_apart_by_content(tmp_path):

@@ -9,6 +9,7 @@ from isetval.core.capture import Capture
 from isetval.core.captures import MemoryCaptures
 from isetval.core.scene import ChartTarget, Patch, Spectrum, narrow_band
 from isetval.core.sensor import Exposure, Sensor, Window
+from isetval.files.campaign_tables import Spectra
 from isetval.files.campaign_writer import write_campaign
 from isetval.files.chart_parts import brightest_channel, deal, write_chart_parts
 
@@ -73,3 +74,13 @@ def test_parts_are_written_beside_the_campaign_and_measured_in_one_colour(tmp_pa
     rows = isetval.measure_campaign(learn, summaries=False).metrics
     seen = {light: {m.channel for m in rows if m.light == light} for light in ("450nm", "500nm", "650nm")}
     assert seen == {"450nm": {"B"}, "500nm": {"Gr", "Gb"}, "650nm": {"R"}}
+
+
+def test_a_spectrum_of_somebody_else_is_never_overwritten(tmp_path):
+    (tmp_path / "spectra").mkdir()
+    mine = tmp_path / "spectra" / "lamp.csv"
+    mine.write_text("mine")
+    lamp = Spectrum([400.0, 700.0], [1.0, 2.0])
+    assert Spectra(tmp_path).write("lamp", {"value": lamp}) == "spectra/lamp_.csv"
+    assert Spectra(tmp_path).write("lamp", {"value": lamp}) == "spectra/lamp_.csv"  # the same content is the same file
+    assert mine.read_text() == "mine"
