@@ -49,7 +49,7 @@ def test_the_audit_command_draws_its_figures(tmp_path) -> None:
     lens = data_folder() / "lens" / "default_lens.json"
     assert main(["lens", "audit", str(lens), "-q", "-o", str(tmp_path / "a.png")]) == 0
     assert (tmp_path / "a.png").read_bytes()[1:4] == b"PNG"
-    assert main(["lens", "audit", str(lens), "-q", "-o", str(tmp_path / "a.html")]) == 3
+    assert main(["lens", "audit", str(lens), "-q", "-o", str(tmp_path / "a.txt")]) == 3
 
 
 @pytest.mark.slow
@@ -60,3 +60,21 @@ def test_the_audit_as_pdf_has_focus_spots_mtf_and_depth_of_field(tmp_path) -> No
     lens = data_folder() / "lens" / "default_lens.json"
     assert main(["lens", "audit", str(lens), "-q", "-o", str(tmp_path / "a.pdf")]) == 0
     assert (tmp_path / "a.pdf").read_bytes().count(b"/Type /Page ") == 5
+
+
+@pytest.mark.slow
+def test_the_audit_as_a_page_says_each_contradiction_and_draws_five_pictures(tmp_path) -> None:
+    from html import unescape
+
+    from isetval.app.cli import main
+    from isetval.core.toml import data_folder
+    from isetval.lens import audit_file
+
+    lens = data_folder() / "lens" / "default_lens.json"
+    page = tmp_path / "a.html"
+    assert main(["lens", "audit", str(lens), "-q", "--f-number", "1.2", "-o", str(page)]) == 0
+    text = unescape(page.read_text())
+    flags = audit_file(lens, stated_f_number=1.2).flags
+    assert flags
+    assert all(flag.found in text and flag.remedy in text for flag in flags)
+    assert text.count("data:image/svg+xml") == 5

@@ -32,7 +32,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.set_defaults(handler=doctor, writes_result=True)
     lens = commands.add_parser("lens", help="lens files: audit").add_subparsers(metavar="ACTION", required=True)
     p = lens.add_parser(
-        "audit", parents=[common], help="contradictions of a lens file; -o NAME.png, .pdf", description=lens_audit.__doc__
+        "audit", parents=[common], help="contradictions of a lens file; -o NAME.html, .pdf, .png", description=lens_audit.__doc__
     )
     p.add_argument("file", type=Path, metavar="FILE", help="ray-transfer lens (JSON)")
     p.add_argument("--f-number", type=float, help="the f-number that the lens is said to have")
@@ -46,7 +46,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         metavar="FILM_MM=OBJECT_M",
         help="a film distance that is said to focus an object (front vertex to object); may be given several times",
     )
-    p.set_defaults(handler=lens_audit, writes_result=True, suffixes=(".pdf", ".png"))
+    p.set_defaults(handler=lens_audit, writes_result=True, suffixes=(".html", ".pdf", ".png"))
     p = commands.add_parser("report", parents=[common], help="results -> one self-contained page", description=report.__doc__)
     p.add_argument("results", nargs="+", metavar="RESULT", type=Path, help="JSON results of measure, compare, diagnose, demo")
     p.add_argument("--open", action="store_true", help="open the page")
@@ -194,7 +194,7 @@ def _focus_pair(text: str) -> tuple[float, float]:
 def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
     """Print what a lens file holds (f-number, fall-off, chief rays, focus) and flag where it contradicts itself.
 
-    With -o NAME.png its curves are drawn, with -o NAME.pdf also focus, spots, MTF and depth of field.
+    With -o NAME.png its curves are drawn, with -o NAME.html or .pdf also focus, spots, MTF and depth of field.
     """
     from isetval.core.cache import file_hash
     from isetval.lens import audit_file
@@ -209,10 +209,14 @@ def lens_audit(args: argparse.Namespace, console: Console) -> Outcome:
         film_mm=args.film,
     )
 
-    def page(suffix: str, _: Mapping[str, Any]) -> bytes:
+    def page(suffix: str, result: Mapping[str, Any]) -> bytes:
         from isetval.app.plots.lens import lens_figures
         from isetval.app.plots.panels import figure_bytes, pdf_bytes
 
+        if suffix == ".html":
+            from isetval.app.report.lens_page import lens_html
+
+            return lens_html(result, found, args.file).encode()
         figures = lens_figures(args.file, found, whole=suffix == ".pdf")
         return pdf_bytes(figures) if suffix == ".pdf" else figure_bytes(figures[0], "png")
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from isetval.app.cli.tables import text_table
 from isetval.app.remarks import gathered
+from isetval.app.report.budget_parts import budget
 from isetval.app.words import effect_words, probability_words, relative_words, state_of, verdict_words, with_sigma
 
 FITTED = {
@@ -62,6 +63,7 @@ def comparison_lines(result: Mapping[str, Any]) -> list[str]:
     lines = [gate_line(result["gate"]), ""]
     lines += ladder_table(result["ladder"])
     lines += _worst_lines(result)
+    lines += _budget_lines(result)
     lines += [f"note: {note}" for note in gathered(result["notes"])]
     return lines
 
@@ -85,6 +87,29 @@ def _worst_lines(result: Mapping[str, Any], count: int = 8) -> list[str]:
     ]
     header = ("metric", "shot", "channel", "at", "measured", "simulated", "unit", "z")
     return ["", f"# farthest single metrics ({model}, of {len(rows)})", *text_table(header, body)] if body else []
+
+
+def _budget_lines(result: Mapping[str, Any]) -> list[str]:
+    """Families with more than their error bars explain: what it is; of the others, what would make the error bars smaller."""
+    rows = budget(result)
+    if not rows:
+        return []
+    beyond = [row for row in rows if row["beyond"]]
+    words = {share["key"]: share["words"] for row in rows for share in row["shares"]}
+    body = []
+    for row in beyond:
+        largest = max(row["shares"], key=lambda share: share["percent"])
+        excess = [row[key] or "-" for key in ("repeat", "region", "misfit")]
+        body.append((row["family"], f"{words[largest['key']]} {largest['percent']:.0f} %", *excess, row["helps"]))
+    header = ("family", "largest part of its error bars", "repeats", "regions", "model", "what would help")
+    lines = ["", f"# error budget ({result['models'][-1]}): what lies beyond the error bars, in units of their variance"]
+    lines += text_table(header, body) if body else ["  nothing"]
+    rest = [row for row in rows if not row["beyond"]]
+    for remedy in dict.fromkeys(row["helps"] for row in rest):
+        lines.append(
+            f"  nothing beyond; {remedy} would narrow: {', '.join(row['family'] for row in rest if row['helps'] == remedy)}"
+        )
+    return lines
 
 
 def identify_lines(result: Mapping[str, Any]) -> list[str]:

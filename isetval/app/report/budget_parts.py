@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from isetval.app.words import state_of
+
 PARTS = (
     ("sampling", "noise of the captures", "more frames"),
     ("specimen", "pattern of the specimen, shared by shots", "other places on the sensor"),
@@ -13,7 +15,6 @@ PARTS = (
     ("light", "light between frames", "a steadier lamp"),
 )
 LEAST_SHOWN = 5e-4  # relative change that is written; below it an effect does nothing here
-BEYOND = 0.5  # of the variance: from here on what no error bar explains is what is left to mend
 REMEDIES = (("misfit", "the model"), ("repeat", "set-ups that repeat better"), ("region", "regions without border or dirt"))
 
 
@@ -33,6 +34,7 @@ def budget(comparison: Mapping[str, Any] | None) -> list[dict[str, Any]]:
             "repeat": _beyond(row.get("repeat")),
             "region": _beyond(row.get("region")),
             "misfit": _beyond(row.get("misfit", row["unexplained"])),
+            "beyond": _stands_out(row, max(row.get(key) or 0.0 for key, _ in REMEDIES)),
             "helps": _helps(row),
         }
         for row in rows
@@ -43,7 +45,12 @@ def budget(comparison: Mapping[str, Any] | None) -> list[dict[str, Any]]:
 def _helps(row: Mapping[str, Any]) -> str:
     """The largest of what is beyond the error bars; where all of it is small, the largest share of the variance."""
     remedy, left = max(((words, row.get(key) or 0.0) for key, words in REMEDIES), key=lambda pair: pair[1])
-    return remedy if left > BEYOND else max(PARTS, key=lambda part: row.get(part[0], 0.0))[2]
+    return remedy if _stands_out(row, left) else max(PARTS, key=lambda part: row.get(part[0], 0.0))[2]
+
+
+def _stands_out(row: Mapping[str, Any], excess: float) -> bool:
+    """Whether a mean square beyond 1 is more than so many rows show by chance."""
+    return state_of(1 + excess, row["n"]) != "agrees"
 
 
 def _beyond(value: float | None) -> str:

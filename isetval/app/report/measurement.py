@@ -36,6 +36,7 @@ def measurement_html(
     quality, notes = quality_first(result.get("notes", ()))
     return rendered(
         "measurement.html",
+        what="isetval measure",
         title=f"Measurement of {result.get('campaign') or _files_words(list(result.get('files', {})))}",
         headline=headline,
         sheets=[
