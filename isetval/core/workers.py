@@ -6,10 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
-import time
 from concurrent.futures import ProcessPoolExecutor
-
-WATCH_S = 2.0  # how often a worker looks for its parent: at most so long an orphan lives
 
 
 def single_worker() -> ProcessPoolExecutor:
@@ -20,10 +17,10 @@ def single_worker() -> ProcessPoolExecutor:
 def worker_pool(jobs: int) -> ProcessPoolExecutor:
     """A pool of ``jobs`` spawned processes."""
     spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_live_with_parent, initargs=(os.getpid(),))
+    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_live_with_parent)
 
 
-def _live_with_parent(parent: int) -> None:
+def _live_with_parent() -> None:
     """Bound this process to one BLAS thread, and end it when its parent is gone, however the parent ended."""
     import numpy as np  # noqa: F401  (its BLAS must be loaded before it can be bounded)
     import scipy.linalg  # noqa: F401
@@ -32,9 +29,11 @@ def _live_with_parent(parent: int) -> None:
     threadpool_limits(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent ends the work and says so once
 
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # it was spawned
+
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_S)
+        parent.join()  # a pipe or a handle that the system closes with the parent: its number may live on (Windows keeps it)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="parent watch").start()

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from isetval.core.workers import WATCH_S, single_worker
+from isetval.core.workers import single_worker
 
 
 def blas_threads():
@@ -48,7 +48,7 @@ def test_a_worker_ends_when_its_parent_is_killed(tmp_path):
     parent.send_signal(signal.SIGKILL)
     parent.wait()
     parent.stdout.close()
-    end = time.monotonic() + 10 * WATCH_S  # several looks on a busy machine
+    end = time.monotonic() + 20  # on a busy machine
     while alive(worker) and time.monotonic() < end:
         time.sleep(0.1)
     assert not alive(worker)
