@@ -20,7 +20,7 @@ from isetval.files.captures import FileCaptures
 from isetval.files.dng.metadata import UNKNOWN_PITCH_UM
 from isetval.files.draft_priors import middle_of
 from isetval.files.draft_types import Seen
-from isetval.files.emva_camera import SYMBOLS, sensor_steps
+from isetval.files.emva_camera import numbers_of, sensor_steps
 from isetval.files.file_facts import block_side
 from isetval.files.light_levels import known_exposure, signal_dn
 from isetval.files.shot_grouping import ShotGroup
@@ -29,9 +29,8 @@ CAMERA = "camera.toml"
 F_NUMBER = 2.8  # where no file states one: only its product with the level of the light counts, which is fitted
 LEAST_LEVELS = 3  # gain, PRNU and one to check them by
 LOOKED_AT_PX = 64  # one level is wanted: all pixels of a window agree but for the fall-off
-CLEAR = 3.0  # sigmas above which a part of the pattern is taken into the model
+CLEAR = 3.0  # sigmas by which a flat falls off, above which a fall-off is taken into the model
 CURVES = {False: f"{PACKAGE_PREFIX}pixel4a/qe.csv", True: f"{PACKAGE_PREFIX}machine_vision_1inch/qe.csv"}
-PATTERNS = ("dsnu_e", "dsnu_row_e", "dsnu_column_e", "prnu_percent", "dark_current_e_per_s")
 
 
 def drafted_camera(name: str, sensor: Sensor, seen: Sequence[Seen], captures: FileCaptures) -> tuple[CameraModel | None, str]:
@@ -93,23 +92,11 @@ def _middles(group: ShotGroup, captures: FileCaptures) -> list[Capture]:
 
 
 def _numbers(darks: Sequence[Sequence[Capture]], flats: Sequence[Sequence[Capture]]) -> Mapping[str, float]:
-    """Numbers by the names of `SYMBOLS`, means over the planes; patterns that do not stand out of their sigma are left out."""
+    """Numbers of the series but for the well, whose place the white level takes: that is where codes end."""
     from isetval.measure import emva1288
 
-    table = emva1288([c for part in flats for c in part], dark=[c for part in darks for c in part])
-    found = {}
-    for name, symbols in SYMBOLS.items():
-        rows = [
-            r for s in (f"{symbols[0]}.mean", *symbols) for r in table.rows if r.symbol.lower() == s and math.isfinite(r.value)
-        ]
-        rows = [r for r in rows if r.symbol == rows[0].symbol]
-        if name in ("well_e", "qe_percent") or not rows:  # white is where codes end; photon numbers are not known
-            continue
-        if name not in PATTERNS or all(r.value > CLEAR * r.sigma for r in rows):
-            found[name] = float(np.mean([r.value for r in rows]))
-    if lacking := {"gain_dn_per_e", "dark_noise_e"} - set(found):
-        raise InputError(f"they give no {' and no '.join(sorted(lacking))}")
-    return found
+    found = numbers_of(emva1288([c for part in flats for c in part], dark=[c for part in darks for c in part]))
+    return {name: value for name, value in found.items() if name != "well_e"}
 
 
 def _optics(sensor: Sensor, group: ShotGroup, captures: FileCaptures) -> list[tuple[str, dict[str, Any]]]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from isetval.camera.model import CameraModel
 from isetval.camera.model_file import make_effect
@@ -12,6 +15,9 @@ from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor
 from isetval.core.writing import write_whole
 from isetval.files.emva_datasheet import quantities, recognises
+
+if TYPE_CHECKING:
+    from isetval.measure.noise.emva import EmvaTable
 
 Step = tuple[str, dict[str, Any]]
 
@@ -26,6 +32,32 @@ SYMBOLS = {
     "prnu_percent": ("prnu1288.pixel", "prnu1288", "prnu"),
     "dark_current_e_per_s": ("mu_c", "u_i", "mu_i", "mu_i.mean"),
 }
+
+# their sigma says whether there is such a pattern at all; other numbers every camera has
+PATTERNS = ("dsnu_e", "dsnu_row_e", "dsnu_column_e", "prnu_percent", "dark_current_e_per_s")
+CLEAR = 3.0  # sigmas above which a part of the pattern is taken into the model
+
+
+def numbers_of(table: EmvaTable) -> dict[str, float]:
+    """Numbers of a measured table by the names of `SYMBOLS`: what is said of all planes, else the mean over them.
+
+    A pattern is taken where it stands out of its sigma in every plane: one pattern acts on all of them.
+
+    Raises
+    ------
+    InputError
+        If the series gave no gain or no dark noise.
+    """
+    found = {}
+    for name, symbols in SYMBOLS.items():
+        finite = [r for r in table.rows if math.isfinite(r.value)]
+        named = ([r for r in finite if r.symbol.lower() == s] for s in (f"{symbols[0]}.mean", *symbols))
+        rows = next(filter(None, named), [])
+        if rows and (name not in PATTERNS or all(r.value > CLEAR * r.sigma for r in rows)):
+            found[name] = float(np.mean([r.value for r in rows]))
+    if lacking := [name for name in ("gain_dn_per_e", "dark_noise_e") if name not in found]:
+        raise InputError(f"the series give no {' and no '.join(lacking)}")
+    return found
 
 
 def read_emva_camera(path: Path | str, folder: Path | str, sensor: Sensor) -> CameraModel:

@@ -10,7 +10,7 @@ import numpy as np
 
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.sensor import Window
-from isetval.files.emva_camera import SYMBOLS
+from isetval.files.emva_camera import numbers_of
 from isetval.files.emva_descriptor import FEWEST_OF_A_STACK
 
 # of a part: the bend of a response and the growth of darks show in so many; each is simulated thousands of times
@@ -21,7 +21,6 @@ PHOTONS = 0.03  # ours: photodiodes come calibrated to 3 %, and the format state
 EVEN = 0.02  # ours: EMVA 1288 (R4.0, 6.1) asks for light that is even to 3 % from the darkest to the brightest place
 LEAST_FLICKER = 1e-4  # a prior of 0 would say that a lamp is perfectly steady
 LEAST_BLACK_DN = 1e-3  # a prior of 0 would say that darks are rounded without error
-CLEAR = 3.0  # sigmas above which a part of the pattern is taken into the model
 
 
 def dealt(campaign: Campaign) -> dict[str, Campaign]:
@@ -125,13 +124,7 @@ def camera_numbers(campaign: Campaign) -> Mapping[str, float]:
     frames = [(c, s.photons_per_pixel) for s in flats for c in campaign.captures[s.name]]
     darks = [c for s in campaign.shots if s.role == "dark" for c in campaign.captures[s.name]]
     photons = [*(p for _, p in frames), *[None] * len(darks)]
-    table = emva1288([c for c, _ in frames], dark=darks, photons_per_pixel=photons)
-    patterns = ("dsnu_e", "dsnu_row_e", "dsnu_column_e", "prnu_percent", "dark_current_e_per_s")
-    found = {}
-    for name, symbols in SYMBOLS.items():
-        row = next((r for s in (*symbols, f"{symbols[0]}.mean") for r in table.rows if r.symbol.lower() == s), None)
-        if row is not None and math.isfinite(row.value) and (name not in patterns or row.value > CLEAR * row.sigma):
-            found[name] = float(row.value)
+    found = numbers_of(emva1288([c for c, _ in frames], dark=darks, photons_per_pixel=photons))
     if _white_saturates(campaign):
         found.pop("well_e", None)  # the converter's end is in the sensor's white level
     return found
