@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Metric
 
-METHODS = ("own", "lyu2022", "iso12233:2014", "iso12233:2017", "iso12233:2023")
+METHODS = ("own", "lyu2022", "iso12233:2000", "iso12233:2014", "iso12233:2017", "iso12233:2023")
 
 
 @dataclass(frozen=True, eq=False)

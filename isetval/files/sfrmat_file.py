@@ -1,9 +1,9 @@
-"""Results of sfrmat (P. D. Burns), versions 3 to 5, saved as CSV or text.
+"""Results of sfrmat (P. D. Burns), versions 2 to 5, saved as CSV or text.
 
 Layout after the public sources of its writers results4.m and results5.m: a line "Output from Matlab function sfrmat5.m",
 lines of settings, then a line "Frequency, cy/pixel | SFR" or "Frequency, cy/pixel | SFR-r | SFR-g | SFR-b | Lum" with the numbers
-below it, everything moved right by an empty column A.  They write workbooks; saved as CSV those read here.  sfrmat 3 was not
-at hand in source: its files are read where they have the same lines.
+below it, everything moved right by an empty column A.  They write workbooks; saved as CSV those read here.  sfrmat 2 and 3 were
+not at hand in source: their files are read where they have the same lines.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import re
 from isetval.core.errors import InputError
 from isetval.files.given_rows import GivenRow, GivenTable, numbers, table_lines
 
-METHODS = {"3": "iso12233:2014", "4": "iso12233:2017", "5": "iso12233:2023"}
-"""The edition each version computes by: version 3 the second, version 5 the fourth; version 4, between them, fits a bent edge
-but keeps the Hamming window and is compared with the third."""
+METHODS = {"2": "iso12233:2000", "3": "iso12233:2014", "4": "iso12233:2017", "5": "iso12233:2023"}
+"""The edition each version computes by: version 2 the first, version 3 the second, version 5 the fourth; version 4, between
+them, fits a bent edge but keeps the Hamming window and is compared with the third."""
 CHANNELS = {"sfr": "", "sfr-r": "R", "sfr-g": "G", "sfr-b": "B", "lum": "luminance"}
 
 
@@ -35,7 +35,7 @@ def read(text: str, where: str) -> GivenTable:
     found = re.search(r"sfrmat(\d)", text, re.IGNORECASE)
     version = found[1] if found else "?"
     if version not in METHODS:
-        raise InputError(f"{where}: is of sfrmat {version}; versions 3, 4 and 5 are known")
+        raise InputError(f"{where}: is of sfrmat {version}; versions 2 to 5 are known")
     lines = [[cell for cell in row if cell] for row in table_lines(text)]
     heads = [i for i, row in enumerate(lines) if row and row[0].lower().startswith("frequency")]
     if not heads:

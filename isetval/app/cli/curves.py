@@ -24,7 +24,7 @@ def curve_options(p: argparse.ArgumentParser) -> None:
     group.add_argument("--channel", help="only rows of this channel, or the channel of rows that name none")
     group.add_argument("--column", help="which column holds the values, where there are several")
     group.add_argument("--edge", type=int, help="which edge or region of the file, from 1")
-    group.add_argument("--method", help="own, lyu2022, iso12233:2014, iso12233:2017, iso12233:2023")
+    group.add_argument("--method", help="own, lyu2022, iso12233:2000, iso12233:2014, iso12233:2017, iso12233:2023")
 
 
 def shots_of(model: CameraModel, path: str, args: argparse.Namespace | None) -> Campaign:

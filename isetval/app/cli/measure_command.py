@@ -39,7 +39,11 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         help="DNG files, folders, or a campaign: a folder with campaign.toml or an EMVA 1288 descriptor",
     )
     p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "disk", "scene"), help="what the files show")
-    p.add_argument("--method", default="", help="another method than the estimators' own: iso12233:2017, iso12233:2023, lyu2022")
+    p.add_argument(
+        "--method",
+        default="",
+        help="another method than the estimators' own: iso12233:2000, iso12233:2017, iso12233:2023, lyu2022",
+    )
     p.add_argument("--channel", default="", help="one channel of edges and scenes: R, Gr, Gb, B or G (both greens)")
     p.add_argument("--roi", metavar="R0,R1,C0,C1", type=region, help="rows R0 to R1 and columns C0 to C1 of each file, half open")
     p.add_argument("--regions", metavar="FILE", type=Path, help="the regions of a TOML file (isetval roi draws them)")

@@ -1,8 +1,9 @@
 """Published procedures, for comparison with other tools; the default method is better.
 
-``iso12233:2017``: straight line, Hamming windows, 4x bins, [1/2 0 -1/2] derivative corrected by
+``iso12233:2000``: straight line, Hamming windows, 4x bins, [1/2 0 -1/2] derivative, which is not corrected, frequency along
+the pixel axis.  ``iso12233:2017``: straight line, Hamming windows, 4x bins, [1/2 0 -1/2] derivative corrected by
 x/sin x (at most 10), frequency along the normal.  ``iso12233:2023``: edge polynomial of order 5,
-Tukey windows (alpha 1).  After the public reference code of the standard's author (sfrmat, versions 3 and 5),
+Tukey windows (alpha 1).  After the public reference code of the standard's author (sfrmat, versions 2, 3 and 5),
 not after the standard's text.  ``lyu2022``: the 2003-era procedure behind the curves of Lyu et al.,
 "Accurate smartphone camera simulation using 3D scenes" (2022): demosaiced luminance 0.3 R + 0.6 G + 0.1 B,
 straight line, Hamming, no derivative correction, frequency along the pixel axis, MTF50 on a grid of 0.2 cy/mm.
@@ -43,6 +44,7 @@ class Procedure:
 
 
 PROCEDURES = {
+    "iso12233:2000": Procedure(1, False, False, 0.0, None),
     "iso12233:2017": Procedure(1, False, True, 0.0, None),
     "iso12233:2023": Procedure(5, True, True, 0.05, None),
     "lyu2022": Procedure(1, False, False, 0.0, 0.2),

@@ -26,7 +26,7 @@ from isetval.measure.edge.verdict import Seen
 Float = NDArray[np.floating[Any]]
 
 
-METHODS = ("default", "iso12233:2017", "iso12233:2023", "lyu2022")
+METHODS = ("default", "iso12233:2000", "iso12233:2017", "iso12233:2023", "lyu2022")
 ROUNDING_VARIANCE = 1 / 12  # DN^2, of a uniform error of one code
 STEEP = 1.03  # dx/dy above which rows and columns are exchanged: 1 with a margin against edges at 45 degrees turned to and fro
 STACKED_SAMPLES = 250_000  # 2 MB of doubles, about a core's second-level cache; results do not depend on it
@@ -52,7 +52,7 @@ def sfr(
     channel : str
         ``R``, ``Gr``, ``Gb``, ``B`` or ``G`` (both greens, on the mosaic); ignored for one-channel captures.
     method : str
-        ``default``; ``iso12233:2017``, ``iso12233:2023``: the published procedures; ``lyu2022``: the 2003-era
+        ``default``; ``iso12233:2000``, ``iso12233:2017``, ``iso12233:2023``: the published procedures; ``lyu2022``: the 2003-era
         procedure behind the paper's curves (demosaiced luminance, no slant and no derivative correction).
     choices : mapping or None
         ``choices`` of another result, to make the same data-driven choices (order of the edge, width and
