@@ -15,7 +15,16 @@ from isetval.core.sensor import RoiLike, Sensor, Window, pattern_at
 from isetval.files.draft_types import DraftLight, DraftPrior, DraftShot, DraftTarget, Seen
 from isetval.files.file_facts import LEVEL_STEP, FileFacts
 from isetval.files.folder_words import PUBLISHED
-from isetval.files.light_levels import LitSetup, dark_levels, green_dn, green_rate, known_exposure, lit_setups, scale_for
+from isetval.files.light_levels import (
+    LitSetup,
+    dark_levels,
+    green_dn,
+    green_rate,
+    known_exposure,
+    lit_setups,
+    middle_share,
+    scale_for,
+)
 from isetval.files.registration import ChartPose, EdgePose
 from isetval.files.shot_grouping import ShotGroup, repeats
 from isetval.files.spectra_search import FolderSpectra, band_limits, chart_reflectances
@@ -92,8 +101,9 @@ def drafted(
     dark_dn = dark_levels(darks)
     setups, references = lit_setups(by_role.get("flat", []), dark_dn)
     for name, group in references.items():
-        work.rates[name] = green_rate(group, dark_dn)
-        _add_light(work, name, group, green_dn(group))
+        share = middle_share(group)
+        work.rates[name] = share * green_rate(group, dark_dn)
+        _add_light(work, name, group, share * green_dn(group))
     seen_whole = _across_the_field(setups)
     for setup in setups:
         for group in setup.groups:

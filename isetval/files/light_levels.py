@@ -35,6 +35,14 @@ def green_dn(group: ShotGroup) -> float:
     return float(np.mean([levels[k] for k in GREENS[len(levels)]]))
 
 
+def middle_share(group: ShotGroup) -> float:
+    """Level in the middle of the frame over the mean of all of it, where a lens falls off; `scale_for` looks at the middle."""
+    blocks = np.mean([fact.blocks_dn for fact in group.facts], axis=0)
+    rows, cols = (slice((n - 1) // 2, n // 2 + 1) for n in blocks.shape)
+    whole = float(blocks.mean())
+    return float(blocks[rows, cols].mean()) / whole if whole > 0 else 1.0
+
+
 def green_rate(group: ShotGroup, dark_dn: Mapping[float | None, float]) -> float:
     """Green level above the darks over exposure and ISO/100, DN/s."""
     time_s = group.first.exposure.time_s

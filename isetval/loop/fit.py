@@ -147,6 +147,14 @@ def fit(
     )
 
 
+def told_here(problem: Problem, fitted: Fit) -> Fit:
+    """The fit with derivatives taken anew where it ended: what imitates a focus error is told from it by less than they bend.
+
+    At ten sigmas of focus a third of a micrometre turned a column by 6 degrees, fifteen sigmas over the way back.
+    """
+    return replace(fitted, jacobian=jacobian(problem, fitted.point, fitted.free, stale=0.0, both_sides=True))
+
+
 @dataclass(frozen=True, eq=False)
 class _State:
     """Where a fit stands.

@@ -17,12 +17,13 @@ from isetval.core.errors import InputError
 from isetval.core.given import row_words
 from isetval.core.metric import MetricTable
 from isetval.loop.derivatives import nuisance_parameters, slopes
-from isetval.loop.fit import Fit, far_values, fit, moved_far
+from isetval.loop.fit import Fit, far_values, fit, moved_far, told_here
 from isetval.loop.given_side import given_rows
 from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import DERIVATIVE_SEEDS, REPLICAS, Point, Predictor
 from isetval.loop.problem import Problem, make_problem
 from isetval.loop.telling import Say, Teller
+from isetval.loop.valleys import deepest
 from isetval.measure.campaign import measure_campaign
 
 Float = NDArray[np.float64]
@@ -90,7 +91,7 @@ class Prepared:
             focused = any(f.focus and f.label in values for f in fitted.free)
             near = values if focused else {**fitted.point.values, **values}
             fitted = fit(problem, Point(model, near), fitted.free)
-        return problem, fitted
+        return problem, told_here(problem, fitted) if values else fitted
 
     def fit_nuisances(self, model: CameraModel) -> Fit:
         """The fit in which only the campaign's nuisances are free."""
@@ -98,7 +99,8 @@ class Prepared:
         key = model.digest()
         if key not in self.fits:
             problem = self.problem_for(model)
-            self.fits[key] = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
+            free = nuisance_parameters(problem.plan, model)
+            self.fits[key] = fit(problem, deepest(problem, Point(model), free), free)
         return self.fits[key]
 
     def chi2(self, model: CameraModel, *, weights: CameraModel) -> float:

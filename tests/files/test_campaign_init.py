@@ -264,6 +264,14 @@ def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_
             row0, col0, rows, cols = next(s.window for s in flats if s.name == m.shot)
             planted = 0.25 * 600 * (m.exposure_s / 0.01) * shade[row0 : row0 + rows, col0 : col0 + cols].mean()
             assert abs(m.value - planted) < 5 * m.sigma + 0.02
+    middle = next(s for s in flats if s.exposure.time_s == 0.02)
+    model = isetval.load_model(tmp_path / "camera.toml")
+    seen, shown = (
+        isetval.measure_campaign(c.only([middle.name]), summaries=False)
+        for c in (campaign, isetval.simulate(model, campaign, seed=3))
+    )
+    means = [np.mean([m.value for m in one.metrics if m.name == "mean"]) for one in (seen, shown)]
+    assert means[1] == pytest.approx(means[0], rel=0.02)  # the light's scale is that of the middle blocks, not of the whole frame
     edges = [s for s in campaign.shots if s.role == "edge"]
     slanted = min(edges, key=lambda s: abs(s.target.angle_deg - 5))
     assert slanted.target.angle_deg == pytest.approx(5.0, abs=0.1)

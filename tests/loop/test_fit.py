@@ -1,15 +1,20 @@
 """Fits of problems that bend, in closed form: metrics that go as the square of the distance from focus."""
 
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from isetval.camera.model_file import load_model
 from isetval.core.parameter import Parameter
 from isetval.loop.derivatives import difference_of_both, jacobian, made_parallel
 from isetval.loop.fit import far_values, fit, moved_far, walked
 from isetval.loop.prediction import Base, Point
+from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
+from isetval.loop.valleys import deepest
 
 STOPS_UM = np.array([-8.0, 0.0, 8.0])
 FOCUS, SHIFT = "focus_um@measurement session:A[edge]", "edge_shift_px@set-up:e[edge]"
@@ -194,3 +199,46 @@ def test_a_level_that_saturates_on_one_side_has_the_slope_of_the_other():
     assert np.allclose(difference_of_both(ahead, behind, levels, middle=True)[:5], [1.0, 1.0, 1.05, 0.0, 2.0])
     assert np.allclose(difference_of_both(ahead, behind, ~(levels | True), middle=False)[:5], [1.0, 0.1, 1.0, -2.0, 3.0])
     assert np.isnan(difference_of_both(ahead, behind, levels, middle=True)[5])
+
+
+class RingedCamera(BentCamera):
+    """Contrast of a box of blur: behind the first zero it comes back turned over, so that chi2 has a valley in every ring."""
+
+    plan = SimpleNamespace(unknowns=lambda: RINGED)
+
+    @staticmethod
+    def at(focus, shift):
+        defocus = STOPS_UM + focus
+        rows = np.concatenate([np.sinc(defocus / 8), np.sinc(defocus / 4), [0.02 * shift]])
+        return rows + 0.003 * shift * np.sin(np.concatenate([defocus, defocus, [0.0]]))
+
+
+RINGED = (replace(FREE[0], prior=2.0, step=2.0), FREE[1])
+
+
+def ringed(focus, shift):
+    camera = RingedCamera()
+    rows = 2 * STOPS_UM.size + 1
+    base = Base(camera.at(0.0, 0.0), SIGMA**2 * np.eye(rows), np.zeros((16, rows)), np.ones(rows))
+    whiten = np.eye(rows) / SIGMA
+    model = load_model(Path(__file__).parents[2] / "data" / "pixel4a")
+    made = Problem(camera, Point(model), base, camera.at(focus, shift), np.arange(rows), whiten, base.mean, base.covariance)
+    return Prepared(model, SimpleNamespace(sensor=model.sensor), SimpleNamespace(), made)
+
+
+@pytest.mark.parametrize("focus", [-14.0, -10.0, 6.0, 10.0, 14.0])
+def test_of_several_valleys_of_focus_the_deepest_is_found(focus):
+    case = ringed(focus, 0.4)
+    found = case.fit_nuisances(case.model)
+    assert found.converged
+    assert found.value(FOCUS)[0] == pytest.approx(focus, abs=0.01)
+    assert found.chi2 < 1.1 * ((focus / 2) ** 2 + (0.4 / 0.5) ** 2)  # what the priors ask of the truth
+
+
+def test_other_valleys_are_looked_at_only_where_the_nearest_leaves_more_than_error_bars_allow():
+    case = ringed(0.02, 0.1)
+    start = Point(case.model)
+    jacobian(case.problem, start, RINGED)
+    calls = case.problem.predictor.calls
+    assert deepest(case.problem, start, RINGED) is start
+    assert case.problem.predictor.calls <= calls + 2
