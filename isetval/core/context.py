@@ -181,6 +181,9 @@ class Context:
         return float(self.nuisance.get(parameter, 0.0))
 
 
+TERMS_AT_ONCE = 8  # between which the pixels that are done are laid aside: a copy of the rest costs as much as two terms
+
+
 def poisson(mean: Any, context: Context, part: int = 0) -> Float:
     """Poisson numbers of ``mean`` electrons (rows, cols).
 
@@ -199,15 +202,22 @@ def poisson(mean: Any, context: Context, part: int = 0) -> Float:
 
 
 def _inverse_poisson(chance: Float, mean: Float) -> Float:
-    """Smallest k with CDF(k; mean) >= chance, by adding up the terms: exact, and quick for the small means it is used for."""
+    """Smallest k with CDF(k; mean) >= chance, by adding up the terms: exact, and quick for the small means it is used for.
+
+    Pixels that are done are laid aside every `TERMS_AT_ONCE` terms: few of a dark picture are as bright as its brightest.
+    """
+    out, left = np.zeros(mean.size), np.arange(mean.size)
+    chance, mean, shape = chance.ravel(), np.ravel(mean), mean.shape
     term = np.exp(-mean)
-    reached, out = term.copy(), np.zeros(mean.shape)
+    reached = term.copy()
     top = float(mean.max(initial=0.0))
     for k in range(1, int(top + 15 * np.sqrt(top) + 40)):
         short = chance > reached
-        if not short.any():
-            break
-        out += short
+        out[left] += short
+        if k % TERMS_AT_ONCE == 0 or not short.any():
+            left, chance, mean, term, reached = (part[short] for part in (left, chance, mean, term, reached))
+            if not left.size:
+                break
         term *= mean / k
         reached += term
-    return out
+    return out.reshape(shape)

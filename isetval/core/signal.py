@@ -1,9 +1,10 @@
 """What effects pass on: light or charge on a window of the sensor.
 
 A signal is a sum of layers.  A layer is an amplitude, (bands, rows, cols) or anything that broadcasts
-to it, times an optional sharp structure (an edge, a rendered picture) that has not been sampled on
-pixels yet.  Blur does not touch amplitudes: it adds a transfer function, and `values` applies the
-product of all transfer functions, that of the pupil among them, to the structures.  An edge is therefore exact at every blur.
+to it, kept as a spectrum times what is the same in all bands, times an optional sharp structure (an edge, a rendered
+picture) that has not been sampled on pixels yet.  Blur does not touch amplitudes: it adds a transfer function, and `values`
+applies the product of all transfer functions, that of the pupil among them, to the structures.  An edge is therefore exact
+at every blur.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ class Structure(Protocol):
         """The blurred and sampled layer, (bands, rows, cols)."""
         ...
 
+    def mixed(self, weights: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """Sums over the bands with ``weights`` (channels, bands) of the blurred structure, (channels, rows, cols)."""
+        ...
+
 
 class Pupil(Protocol):
     """The exit pupil that images the scene: effects shift its focus and add aberrations to it."""
@@ -46,10 +51,36 @@ class Pupil(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """An amplitude and the sharp structure it multiplies (None: everywhere 1)."""
+    """An amplitude, ``spectrum`` times ``gain``, and the sharp structure it multiplies (None: everywhere 1).
 
-    amplitude: Float
+    ``gain``, (1, rows, cols) or what broadcasts, is the same in all bands: most of what light meets on its way.  Sums over the
+    bands are then taken before any picture is made.
+    """
+
+    spectrum: Float
     structure: Structure | None = None
+    gain: Float | None = None
+
+    @property
+    def amplitude(self) -> Float:
+        """Spectrum times gain."""
+        return self.spectrum if self.gain is None else self.spectrum * self.gain
+
+    def scaled(self, factor: Float) -> Layer:
+        """The layer times a factor, which broadcasts to (bands, rows, cols)."""
+        if factor.ndim < 3 or len(factor) == 1:
+            return replace(self, gain=factor if self.gain is None else self.gain * factor)
+        return replace(self, spectrum=self.spectrum * factor)
+
+    def mixed(self, weights: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """Sums over the bands with ``weights`` (channels, bands): (channels, rows, cols), or what broadcasts to it."""
+        spectrum = self.spectrum
+        if self.structure is not None and spectrum.shape[1:] == (1, 1):
+            sums = self.structure.mixed(weights * spectrum[:, 0, 0], transfer, wavelength_nm)
+        else:
+            values = spectrum if self.structure is None else self.structure.sample(spectrum, transfer, wavelength_nm)
+            sums = np.tensordot(weights, np.broadcast_to(values, (weights.shape[1], *values.shape[1:])), axes=1)
+        return sums if self.gain is None else sums * self.gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +131,7 @@ class Signal:
         if len(self.layers) == 1 and self.layers[0].structure is None:
             return self.layers[0].amplitude
         total: Any = 0
-        transfers = self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers)
-        transfer = _product(transfers)
+        transfer = self._transfer()
         for layer in self.layers:
             if layer.structure is None:
                 total = total + layer.amplitude
@@ -109,10 +139,20 @@ class Signal:
                 total = total + layer.structure.sample(layer.amplitude, transfer, self.wavelength_nm)
         return np.asarray(total)
 
+    def mixed(self, weights: Float) -> Float:
+        """Sums over the bands with ``weights`` (channels, bands): (channels, rows, cols), or what broadcasts to it."""
+        transfer, total = self._transfer(), 0.0
+        for layer in self.layers:
+            total = total + layer.mixed(weights, transfer, self.wavelength_nm)
+        return np.asarray(total)
+
+    def _transfer(self) -> Transfer | None:
+        return _product(self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers))
+
     def scaled(self, factor: ArrayLike) -> Signal:
         """Every layer times ``factor``, which broadcasts to (bands, rows, cols)."""
         array = np.asarray(factor)
-        return replace(self, layers=tuple(Layer(layer.amplitude * array, layer.structure) for layer in self.layers))
+        return replace(self, layers=tuple(layer.scaled(array) for layer in self.layers))
 
     def plus(self, offset: ArrayLike) -> Signal:
         """The signal and a smooth ``offset``, which broadcasts to (bands, rows, cols)."""

@@ -161,14 +161,11 @@ class QuantumEfficiency(Effect):
         photons = grid * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S) * area_m2 * context.time_s() * _trapezoid(grid)
         leak = signal.filters.leak * (grid > LEAK_ABOVE_NM)
         shift = signal.filters.shift_nm
-        values = signal.values
-        if values.shape[0] == 1 and grid.size > 1:
-            values = np.broadcast_to(values, (grid.size, *values.shape[1:]))
         nodes = np.zeros(1) if shift is None else np.unique(np.floor(shift))
         total: Any = 0.0
         for node in np.union1d(nodes, nodes + 1) if shift is not None else nodes:
             weight = 1.0 if shift is None else np.maximum(0.0, 1 - np.abs(shift - node))
-            total = total + weight * np.tensordot((self.curves(context, grid - node) + leak) * photons, values, axes=1)
+            total = total + weight * signal.mixed((self.curves(context, grid - node) + leak) * photons)
         return signal.with_values(np.asarray(total) * _known_to(context, len(total)), "electron")
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, ParameterInfo, parameter
 from isetval.core.scene import Scene
-from isetval.core.signal import Layer, Signal
+from isetval.core.signal import Signal
 from isetval.effects.pupil import field_point
 
 Float = NDArray[np.float64]
@@ -227,8 +227,8 @@ def _share(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:
     if plain and out.layers[0].structure is None:
         before, after = signal.values, out.values
         return out.with_values(after + more.astype(after.dtype) * (after - before))
-    changed = [Layer(layer.amplitude * (1 + more), layer.structure) for layer in out.layers]
-    return replace(out, layers=(*changed, *(Layer(-layer.amplitude * more, layer.structure) for layer in signal.layers)))
+    changed = [layer.scaled(1 + more) for layer in out.layers]
+    return replace(out, layers=(*changed, *(layer.scaled(-more) for layer in signal.layers)))
 
 
 def _strength(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:

@@ -252,7 +252,7 @@ class Distortion(Effect):
 
 def _moved_layer(layer: Layer, down_px: Float, right_px: Float) -> Layer:
     structure: Any = layer.structure
-    return layer if structure is None else Layer(layer.amplitude, structure.moved(down_px, right_px))
+    return layer if structure is None else replace(layer, structure=structure.moved(down_px, right_px))
 
 
 def field_mean(signal: Signal, context: Context) -> Float:

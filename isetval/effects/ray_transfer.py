@@ -273,8 +273,8 @@ class RayTransfer(Effect):
 def _imaged(layer: Layer, view: LensView, light: Float, moved: Float) -> Layer:
     """A layer of a rendered scene behind the lens: the scene is imaged as a whole, a decentre moves its light alone."""
     if isinstance(layer.structure, RenderedScene):
-        return Layer(layer.amplitude * moved, layer.structure.through(view))
-    return Layer(layer.amplitude * light, layer.structure)
+        return replace(layer, structure=layer.structure.through(view)).scaled(moved)
+    return layer.scaled(light)
 
 
 @lru_cache(maxsize=16)

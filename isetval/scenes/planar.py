@@ -97,13 +97,13 @@ def planar_radiance(scene: Scene, context: Context) -> Signal:
     """
     rows, cols = context.window[2:]
     if scene.target is None:
-        layers = [Layer(scene.white[:, None, None] * light_field(scene, context))]
+        layers = [Layer(scene.white[:, None, None], gain=light_field(scene, context))]
     elif isinstance(scene.target, EdgeTarget):
         layers = _edge_layers(scene, context)
     elif isinstance(scene.target, ChartTarget):
-        white = scene.white[:, None, None] * target_field(scene, context)
-        layers = [Layer(white, _chart(scene, scene.target, context))]
-        layers += [Layer(scene.white[:, None, None] * _mirrored(one, context)) for one in scene.highlights]
+        white = scene.white[:, None, None]
+        layers = [Layer(white, _chart(scene, scene.target, context), target_field(scene, context))]
+        layers += [Layer(white, gain=_mirrored(one, context)) for one in scene.highlights]
     else:
         raise InputError(f"target {scene.target.name}: not a planar target; it needs the renderer")
     if scene.ambient is not None:
@@ -203,7 +203,7 @@ def _edge_layers(scene: Scene, context: Context) -> list[Layer]:
     bright = scene.white * scene.reflectance(target.bright_reflectance)
     field = target_field(scene, context)
     edge = StraightEdge(_normal(target), *_relative(target.offset_px, context), falling=target.dark_side == "high")
-    return [Layer(dark[:, None, None] * field), Layer((bright - dark)[:, None, None] * field, edge)]
+    return [Layer(dark[:, None, None], gain=field), Layer((bright - dark)[:, None, None], edge, field)]
 
 
 def _relative(offset_px: tuple[float, float], context: Context) -> tuple[Float, Float]:
@@ -251,14 +251,25 @@ class StraightEdge:
         distance = self.distance_px()
         if transfer is None:
             return np.asarray(amplitude * np.clip(distance + 0.5, 0, 1)[None])
-        bands = np.array([550.0]) if wavelength_nm is None else wavelength_nm
-        nodes, weights = wavelength_nodes(bands)
+        nodes, weights = wavelength_nodes(np.array([550.0]) if wavelength_nm is None else wavelength_nm)
+        steps = self._steps(np.eye(nodes.size), transfer, nodes)
+        return np.asarray(amplitude * np.tensordot(weights.T, steps, axes=1))
+
+    def mixed(self, weights: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """Sums of the blurred step over the bands, with ``weights`` (channels, bands): (channels, rows, cols)."""
+        if transfer is None:
+            return np.asarray(weights.sum(axis=1)[:, None, None] * self.sample(np.ones((1, 1, 1)), None, None))
+        nodes, shares = wavelength_nodes(np.array([550.0]) if wavelength_nm is None else wavelength_nm)
+        return self._steps(weights @ shares.T, transfer, nodes)
+
+    def _steps(self, mix: Float, transfer: Transfer, nodes: Float) -> Float:
+        """Sums of the steps at the nodes with weights ``mix`` (sums, nodes), (sums, rows, cols)."""
+        distance = self.distance_px()
         position, curves = self._edge_spread(transfer, nodes, float(np.abs(distance).max()))
         place = (distance - position[0]) / (position[1] - position[0])
         place = np.clip(place, 1, position.size - 3)
         index = place.astype(np.intp)
-        steps = _cubic(curves, index, place - index)
-        return np.asarray(amplitude * (weights.T @ steps.reshape(nodes.size, -1)).reshape(bands.size, *distance.shape))
+        return _cubic(mix @ curves, index, place - index)
 
     def _edge_spread(self, transfer: Transfer, wavelength_nm: Float, reach_px: float) -> tuple[Float, Float]:
         sign = -1.0 if self.falling else 1.0

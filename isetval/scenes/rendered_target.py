@@ -67,8 +67,7 @@ def rendered_radiance(scene: Scene, context: Context, *, progress: Progress | No
     lamp = _lamp(scene)
     transport = RenderedScene(load_target(scene), scene, context, progress, draw)
     rows, cols = context.window[2:]
-    amplitude = (lamp[:, None, None] * target_field(scene, context))[..., :rows, :cols]
-    layers = [Layer(amplitude, transport)]
+    layers = [Layer(lamp[:, None, None], transport, target_field(scene, context)[..., :rows, :cols])]
     if scene.ambient is not None:
         layers.append(Layer(scene.ambient[:, None, None]))
     return shifted(Signal(tuple(layers), "radiance", (rows, cols), scene.wavelength_nm), scene)
@@ -144,6 +143,10 @@ class RenderedScene:
     def sample(self, amplitude: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
         """The picture of the pinhole, blurred and sampled; see `SpectralPicture.sample`."""
         return self.pinhole.sample(amplitude, transfer, wavelength_nm)
+
+    def mixed(self, weights: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
+        """Sums of that picture over the bands; see `SpectralPicture.mixed`."""
+        return self.pinhole.mixed(weights, transfer, wavelength_nm)
 
     @property
     def pinhole(self) -> SpectralPicture:

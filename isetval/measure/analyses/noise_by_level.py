@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from isetval.core.capture import Capture, plane_black_dn, planes_of
 from isetval.core.metric import Block, Metric
 from isetval.core.sensor import Roi
 from isetval.measure.conditions import metric, shot_conditions
-from isetval.measure.noise.patch_noise import Patch, uniform_patches
+from isetval.measure.noise.patch_noise import Patch, PatchMoments, patch_moments, uniform_patches
 
 ROLES = ("chart", "scene")
 SIZE = 10  # mosaic pixels, as in the paper
@@ -50,13 +50,13 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     """
     if len(captures) < 2:
         return Block(())
-    own = {"channel": shot.channel} if shot.channel else {}
-    patches = patches_by_channel(captures, own | choices.get("options", {}))
-    levels: Levels = choices.get("levels") or choose_levels(captures[0], patches)
+    options = ({"channel": shot.channel} if shot.channel else {}) | choices.get("options", {})
+    levels: Levels = choices.get("levels") or choose_levels(captures[0], patches_by_channel(captures, options))
+    found = patch_moments(captures, **{key: value for key, value in _settings(captures, options).items() if key != "method"})
     conditions = shot_conditions(shot, captures[0].sensor)
     rows = [
-        _noise_row(conditions, shot, channel, f"level {k + 1}", [patches[channel][i] for i in numbers])
-        for channel in patches  # in the order of the planes, however the choices were kept
+        _noise_row(conditions, shot, channel, f"level {k + 1}", found[channel], numbers)
+        for channel in _in_order(captures[0], found)  # however the choices were kept
         for k, numbers in enumerate(levels.get(channel, ()))
     ]
     return Block(tuple(rows), choices={**choices, "levels": levels})
@@ -79,14 +79,22 @@ def holds(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -
 
 def patches_by_channel(captures: Sequence[Capture], options: Mapping[str, Any]) -> dict[str, list[Patch]]:
     """All patches of each channel, in an order that depends on frame size and options only."""
-    settings = {"method": "two_frame", "size": SIZE, **options}
-    if "count" not in settings and captures[0].mosaic.size > MOST * settings["size"] ** 2:
-        settings["count"] = MOST
-    table = uniform_patches(captures, **settings)
+    table = uniform_patches(captures, **_settings(captures, options))
     found: dict[str, list[Patch]] = {}
     for patch in table.patches:
         found.setdefault(patch.channel, []).append(patch)
-    return {name: found[name] for name in (*planes_of(captures[0]), "G") if name in found}
+    return {name: found[name] for name in _in_order(captures[0], found)}
+
+
+def _settings(captures: Sequence[Capture], options: Mapping[str, Any]) -> dict[str, Any]:
+    settings = {"method": "two_frame", "size": SIZE, **options}
+    if "count" not in settings and captures[0].mosaic.size > MOST * settings["size"] ** 2:
+        settings["count"] = MOST
+    return settings
+
+
+def _in_order(capture: Capture, channels: Collection[str]) -> list[str]:
+    return [name for name in (*planes_of(capture), "G") if name in channels]
 
 
 def choose_levels(capture: Capture, patches: Mapping[str, Sequence[Patch]]) -> Levels:
@@ -111,13 +119,14 @@ def _bins(numbers: Sequence[int], patches: Sequence[Patch]) -> list[list[int]]:
     return [[int(i) for i in part] for part in np.array_split(ordered, min(BINS, len(ordered)))] if ordered else []
 
 
-def _noise_row(conditions: dict[str, Any], shot: Shot, channel: str, region: str, patches: Sequence[Patch]) -> Metric:
-    """Root of the mean temporal variance, and its sigma."""
-    variance = np.array([p.temporal_std_dn for p in patches]) ** 2
-    # sigma_dn of a patch is std / sqrt(2 dof); the mean square of a variance with so many is (1 + 2 / dof) of its square
-    dof = np.array([p.temporal_std_dn**2 / (2 * p.sigma_dn**2) if p.sigma_dn > 0 else math.inf for p in patches])
+def _noise_row(
+    conditions: dict[str, Any], shot: Shot, channel: str, region: str, found: PatchMoments, numbers: Sequence[int]
+) -> Metric:
+    """Root of the mean temporal variance of some patches, and its sigma."""
+    variance = found.temporal_std_dn[list(numbers)] ** 2
+    # the mean square of a variance with dof degrees of freedom is (1 + 2 / dof) of its square
     noise = math.sqrt(float(variance.mean()))
-    sigma = math.sqrt(float(np.sum(2 * variance**2 / (dof + 2)))) / len(patches) / (2 * noise) if noise > 0 else 0.0
+    sigma = math.sqrt(float(np.sum(2 * variance**2 / (found.dof + 2)))) / len(numbers) / (2 * noise) if noise > 0 else 0.0
     family = f"{shot.role}_noise_by_level"
     sigma = max(sigma, LEAST_SIGMA_DN)
     return metric(conditions, "uniform_patch_noise", noise, sigma, "DN", channel=channel, region=region, family=family)

@@ -166,24 +166,54 @@ def _corners(region: RoiLike, size: int, count: int | None, seed: int) -> NDArra
     return np.stack([rows, cols], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class PatchMoments:
+    """Of the patches of one channel: means, temporal and spatial standard deviations in DN, (patches,).
+
+    ``clip`` is an index of `REASONS`; ``pixels`` of a patch and degrees of freedom of its temporal variance.
+    """
+
+    mean_dn: Float
+    temporal_std_dn: Float
+    spatial_std_dn: Float
+    clip: NDArray[np.int64]
+    pixels: int
+    dof: int
+
+
+def patch_moments(
+    frames: Sequence[Capture], *, size: int = 10, count: int | None = None, seed: int = 0, channel: str | None = None
+) -> dict[str, PatchMoments]:
+    """The numbers behind the patches of `uniform_patches` with two or more frames, by channel, in their order."""
+    corners = _corners(check_roi(frames[0], None), size, count, seed)
+    groups = {channel if channel == "G" else group[0]: group for group in _channels(frames[0], channel)}
+    return {label: _group_moments(frames, group, corners, size) for label, group in groups.items()}
+
+
+def _group_moments(frames: Sequence[Capture], planes: Sequence[str], corners: NDArray[np.int64], size: int) -> PatchMoments:
+    parts = []
+    for start in range(0, len(corners), CHUNK):
+        found = [_moments(*_stacks(frames, plane, corners[start : start + CHUNK], size)) for plane in planes]
+        clip = np.max([f[3] for f in found], axis=0)
+        parts.append((*np.mean([f[:3] for f in found], axis=0), clip))
+        pixels, dof = len(found) * found[0][4], len(found) * found[0][5]
+    mean, temporal, spatial, clip = (np.concatenate(part) for part in zip(*parts, strict=True))
+    noise, spread = np.sqrt(np.maximum(temporal, 0.0)), np.sqrt(np.maximum(spatial, 0.0))
+    return PatchMoments(mean, noise, spread, clip, pixels, dof)
+
+
 def _two_frame(
     frames: Sequence[Capture], planes: Sequence[str], corners: NDArray[np.int64], size: int, label: str
 ) -> list[Patch]:
-    out: list[Patch] = []
-    for start in range(0, len(corners), CHUNK):
-        part = corners[start : start + CHUNK]
-        found = [_moments(*_stacks(frames, plane, part, size)) for plane in planes]
-        mean, temporal, spatial = np.mean([f[:3] for f in found], axis=0)
-        pixels, dof = len(found) * found[0][4], len(found) * found[0][5]
-        noise = np.sqrt(np.maximum(temporal, 0.0))
-        spread = np.sqrt(np.maximum(spatial, 0.0))
-        clip = np.max([f[3] for f in found], axis=0)
-        for i, (row, col) in enumerate(part):
-            region = (int(row), int(row) + size, int(col), int(col) + size)
-            sd = float(noise[i])
-            errors = sd / math.sqrt(pixels * len(frames)), sd / math.sqrt(2 * dof)
-            reason = REASONS[int(clip[i])]
-            out.append(Patch(region, label, float(mean[i]), errors[0], sd, float(spread[i]), errors[1], pixels, reason))
+    found = _group_moments(frames, planes, corners, size)
+    pixels, out = found.pixels, []
+    for i, (row, col) in enumerate(corners):
+        region = (int(row), int(row) + size, int(col), int(col) + size)
+        sd = float(found.temporal_std_dn[i])
+        errors = sd / math.sqrt(pixels * len(frames)), sd / math.sqrt(2 * found.dof)
+        reason = REASONS[int(found.clip[i])]
+        spread = float(found.spatial_std_dn[i])
+        out.append(Patch(region, label, float(found.mean_dn[i]), errors[0], sd, spread, errors[1], pixels, reason))
     return out
 
 
