@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
-from isetval.loop.candidates import Candidate, aligned, candidates_for, doubts_for, gaps_of, lights_of, signatures
+from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
 from isetval.loop.forms import in_best_form
@@ -31,6 +31,7 @@ from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
+from isetval.loop.signatures import aligned, signatures
 from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
 from isetval.loop.verdict import ALPHA, account_of, stopped_account

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.core.parameter import Parameter
-from isetval.loop.candidates import Candidate, Doubt, Signature
+from isetval.loop.candidates import Candidate, Doubt
 from isetval.loop.code_stair import CODES, on_lowest_step
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
@@ -18,6 +18,7 @@ from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
+from isetval.loop.signatures import Signature
 from isetval.loop.subset_sum import LinearModel, Term, Weighed, at_scales, weigh
 
 Float = NDArray[np.float64]
@@ -25,7 +26,7 @@ CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery
 STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's parameter, well above the noise of common numbers
 SPAN = 10.0
 """Sigmas of a value that its finite step is long at least, or its prior's width: above the noise of rounded common random
-numbers, and well inside the 50 within which signatures are straight (`candidates.WANTED`)."""
+numbers, and well inside the 50 within which signatures are straight (`signatures.WANTED`)."""
 FAR_TOO_LONG = 2.0  # times what is ample: a step that the linear model asked for, and that a level may end on
 IMITATED = 10.0  # ratio of a value's sigma to that with all else known; a tenth is left, of which derivatives 3 % off are a third
 LONGER_STEPS = 4  # times that steps are made longer: twentyfold and more each, where sigmas were found too small

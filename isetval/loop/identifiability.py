@@ -14,7 +14,7 @@ from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign
 from isetval.core.jsonable import plain
 from isetval.core.shown import Drawn
-from isetval.loop.candidates import candidates_for, signatures
+from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.next_captures import KEEP, next_captures
@@ -22,6 +22,7 @@ from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 from isetval.loop.result import NextCapture
 from isetval.loop.score_test import cosine, make_frame, score
+from isetval.loop.signatures import signatures
 
 if TYPE_CHECKING:
     import pandas as pd

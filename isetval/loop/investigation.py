@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.loop.candidates import Candidate, Doubt, Signature
+from isetval.loop.candidates import Candidate, Doubt
 from isetval.loop.evidence import (
     Hypothesis,
     Member,
@@ -29,6 +29,7 @@ from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.result import CandidateRow, FormRow
 from isetval.loop.score_test import Frame
+from isetval.loop.signatures import Signature
 from isetval.loop.subset_sum import MAX_EFFECTS, Term, Weighed, weigh, weigh_all
 
 Float = NDArray[np.float64]

@@ -17,7 +17,6 @@ from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.errors import InputError
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure, Window
-from isetval.loop.candidates import Signature, signatures
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import orthonormal_basis, with_priors
@@ -25,6 +24,7 @@ from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem, make_problem
 from isetval.loop.result import NextCapture
 from isetval.loop.score_test import Frame, cosine, make_frame
+from isetval.loop.signatures import Signature, signatures
 from isetval.measure.campaign import measure_campaign
 
 Float = NDArray[np.float64]

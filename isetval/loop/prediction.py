@@ -7,7 +7,7 @@ light or electronics a parameter changes are simulated again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -170,14 +170,21 @@ class Predictor:
         return ShotPart(camera, setup, seed if is_noisy(shot, choices) else 0, mode, choices, halves, chosen, rounded)
 
     def derivative_vectors(
-        self, points: Sequence[Point], seeds: Sequence[int] = DERIVATIVE_SEEDS, *, of_noise: bool = False
+        self,
+        points: Sequence[Point],
+        seeds: Sequence[int] = DERIVATIVE_SEEDS,
+        *,
+        of_noise: bool = False,
+        only: Collection[str] | None = None,
     ) -> list[Float]:
         """Metrics (metrics,) at each point, mean over ``seeds`` of common random numbers.
 
         Of ``seeds`` each shot uses as many as the `Differences` of its blocks say.  With ``of_noise`` only shots in which
-        noise itself is measured are simulated (means elsewhere do not feel it); the rows of the others are nan.
+        noise itself is measured are simulated (means elsewhere do not feel it), and of those ``only`` the named ones; the rows
+        of the others are nan.
         """
         shots = [shot for shot in self.shots if not (of_noise and self.differences[shot.name].one_frame)]
+        shots = [shot for shot in shots if only is None or shot.name in only]
         draws = [(shot, seed) for shot in shots for seed in seeds[: self.differences[shot.name].draws]]
         cameras = [camera_with(point.model, self.plan, point.values) for point in points]
         tasks = [
@@ -196,6 +203,11 @@ class Predictor:
                 total[self.rows[shot.name]] += next(results) / count[shot.name]
             out.append(total)
         return out
+
+    def small_shots(self, point: Point) -> frozenset[str]:
+        """Names of the shots that have no more pixels than the mean shot: a chart costs ten times as much as a flat."""
+        pixels = {part.setup.shot.name: part.pixels for part in self.parts(point, 0, derivative=True)}
+        return frozenset(name for name, n in pixels.items() if n <= np.mean(list(pixels.values())))
 
     def base(self, point: Point, replicas: int = REPLICAS) -> Base:
         """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen."""

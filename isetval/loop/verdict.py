@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.loop.candidates import Doubt, Signature
+from isetval.loop.candidates import Doubt
 from isetval.loop.comparison import captures_of, ladder_rows
 from isetval.loop.evidence import CLOSE_LOG_ODDS, least_chi2
 from isetval.loop.form_curve import curve_of
@@ -20,6 +20,7 @@ from isetval.loop.next_captures import next_captures
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import CandidateRow, Diagnosis, NamedEffect, NamedParameter
 from isetval.loop.score_test import cosine
+from isetval.loop.signatures import Signature
 from isetval.loop.telling import Deadline
 from isetval.loop.unknown import pulled
 from isetval.loop.unknown_evidence import Unknown

@@ -10,7 +10,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
-from isetval.loop.candidates import candidates_for, signatures
+from isetval.loop.candidates import candidates_for
 from isetval.loop.evidence import hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
@@ -18,6 +18,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
+from isetval.loop.signatures import signatures
 
 KEY = "digital_gain.gain"
 LEVELS = np.array([60.0, 150.0, 340.0, 623.0])

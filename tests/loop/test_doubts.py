@@ -9,7 +9,7 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
-from isetval.loop.candidates import WIDER, Signature, candidates_for, doubts_for
+from isetval.loop.candidates import WIDER, candidates_for, doubts_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import _better
 from isetval.loop.evidence import hypothesis
@@ -19,6 +19,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
+from isetval.loop.signatures import Signature
 from isetval.loop.unknown import pulled
 
 ROWS, PRIOR = 20, 0.005

@@ -10,7 +10,7 @@ import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
-from isetval.loop.candidates import Signature, candidates_for
+from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import CLEAR, ODDS, _better, _is_lost, _lost_words, _proposals
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
@@ -20,6 +20,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
+from isetval.loop.signatures import Signature
 
 ROWS = 6
 MIXED = np.array([1.0, 1.0, 0.5, 0, 0, 0]) / 1.5

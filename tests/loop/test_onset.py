@@ -9,7 +9,7 @@ import isetval
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
-from isetval.loop.candidates import candidates_for, signatures
+from isetval.loop.candidates import candidates_for
 from isetval.loop.evidence import hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
@@ -17,6 +17,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame, score
+from isetval.loop.signatures import signatures
 
 LEVELS_E = np.array([500.0, 1500, 3000, 4500, 5200, 5600])
 SIGMA_E = 2.0

@@ -12,7 +12,7 @@ from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
-from isetval.loop.candidates import Candidate, candidates_for, signatures
+from isetval.loop.candidates import Candidate, candidates_for
 from isetval.loop.evidence import first_values, hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
@@ -20,6 +20,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
+from isetval.loop.signatures import signatures
 
 KEY = "temporal_row_noise.sigma_dn"
 ROWS = 30

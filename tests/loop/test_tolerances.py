@@ -9,13 +9,14 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
-from isetval.loop.candidates import Signature, candidates_for
+from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.evidence import hypothesis, refit
 from isetval.loop.fit import fit
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame, score
+from isetval.loop.signatures import Signature
 from isetval.loop.unknown import pulled
 
 KEY = "dark_current.rate_e_per_s"
