@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import zip_longest
@@ -38,6 +39,7 @@ from isetval.loop.verdict import ALPHA, account_of, stopped_account
 
 Float = NDArray[np.float64]
 ODDS = 19.0  # 95 %: what a name needs against the same without it
+FORMS_TRIED = 2  # of a class at one base: four periods of alternating columns left no room for another effect
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked where any two that may stand are closer
 BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
@@ -277,13 +279,25 @@ def _needed(case: Investigation, other: Hypothesis) -> float:
 
 def _refit(case: Investigation, say: Say, *, first: bool) -> None:
     """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about."""
-    for names in _proposals(case, first=first)[:SHORT_LIST]:
+    for names in of_several_classes(case, _proposals(case, first=first))[:SHORT_LIST]:
         best = max(case.score(h) for h in case.known.values())
         if not first and case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing)):
             break
         say(f"fitting {', '.join(sorted(names))}")
         found = fitted_jointly(case, names)
         case.known[names] = found if first and _is_lost(case, found) else in_best_form(case, found, say)
+
+
+def of_several_classes(case: Investigation, proposals: Sequence[Names]) -> list[Names]:
+    """Subsets in their order, of each set of classes the first `FORMS_TRIED` in whatever forms."""
+    tried: Counter[Names] = Counter()
+    out = []
+    for names in proposals:
+        classes = frozenset(getattr(case.member(name), "klass", name) for name in names)
+        tried[classes] += 1
+        if tried[classes] <= FORMS_TRIED:
+            out.append(names)
+    return out
 
 
 def _proposals(case: Investigation, *, first: bool) -> list[Names]:

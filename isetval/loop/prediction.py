@@ -205,9 +205,13 @@ class Predictor:
         return out
 
     def small_shots(self, point: Point) -> frozenset[str]:
-        """Names of the shots that have no more pixels than the mean shot: a chart costs ten times as much as a flat."""
+        """Names of the shots that have no more pixels than the mean shot, none if all are alike.
+
+        A chart costs ten times as much as a flat.
+        """
         pixels = {part.setup.shot.name: part.pixels for part in self.parts(point, 0, derivative=True)}
-        return frozenset(name for name, n in pixels.items() if n <= np.mean(list(pixels.values())))
+        small = frozenset(name for name, n in pixels.items() if n <= np.mean(list(pixels.values())))
+        return small if len(small) < len(pixels) else frozenset()
 
     def base(self, point: Point, replicas: int = REPLICAS) -> Base:
         """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen."""

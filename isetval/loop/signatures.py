@@ -84,7 +84,7 @@ def _shorten_by_small_shots(
 ) -> None:
     """Halve steps, in place, whose secants are too long in the small shots alone: those of charts are then taken once."""
     small = problem.predictor.small_shots(point)
-    if len(small) == len(problem.predictor.shots):
+    if not small:
         return
     shots = np.array([problem.predictor.table.metrics[i].shot in small for i in problem.keep])
     part = project[shots]

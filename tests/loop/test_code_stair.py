@@ -32,7 +32,10 @@ class Codes:
         self.plan = Campaign("plan", ())
         self.table = SimpleNamespace(metrics=[Metric("mean", 0.0, 1.0, "DN", family="flat_mean")] * LEVELS.size)
 
-    def derivative_vectors(self, points, seeds, of_noise=False):
+    def small_shots(self, point):
+        return frozenset()
+
+    def derivative_vectors(self, points, seeds, of_noise=False, only=None):
         gains = [p.model.value(KEY) if p.model.effect("digital_gain") is not None else 0.0 for p in points]
         return [codes(gain) for gain in gains]
 

@@ -12,7 +12,7 @@ from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.detective import CLEAR, ODDS, _better, _is_lost, _lost_words, _proposals
+from isetval.loop.detective import CLEAR, ODDS, _better, _is_lost, _lost_words, _proposals, of_several_classes
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
@@ -98,6 +98,16 @@ def quiet(_):
 
 def test_the_first_fits_are_of_single_effects(case):
     assert all(len(names) == 1 for names in _proposals(case, first=True))
+
+
+def test_forms_of_one_class_leave_room_for_others(case):
+    """Four periods of alternating columns filled four of five places, on a camera that had none of them."""
+    periods = [c for c in candidates_for(case.prepared.model) if c.klass == "alternating_columns"]
+    case.candidates = (*case.candidates, *periods)
+    names = [frozenset({c.name}) for c in periods]
+    other, pair = frozenset({"black_level"}), frozenset({"black_level", periods[0].name})
+    assert len(names) == 4
+    assert of_several_classes(case, [*names, other, pair]) == [*names[:2], other, pair]
 
 
 def test_the_true_pair_replaces_the_effect_that_answered_for_both(case):

@@ -31,7 +31,10 @@ class PlateauCamera:
         self.plan = plan
         self.table = SimpleNamespace(metrics=[Metric("rows", 0.0, 1.0, "DN", family="flat_mean")] * LEVELS_E.size)
 
-    def derivative_vectors(self, points, seeds, of_noise=False):
+    def small_shots(self, point):
+        return frozenset()
+
+    def derivative_vectors(self, points, seeds, of_noise=False, only=None):
         wells = [p.model.value("full_well.well_e") if p.model.effect("full_well") is not None else np.inf for p in points]
         return [np.minimum(LEVELS_E, well) for well in wells]
 

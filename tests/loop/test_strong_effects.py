@@ -34,7 +34,10 @@ class NoisyRows:
         self.plan = Campaign("plan", ())
         self.table = SimpleNamespace(metrics=[Metric("rows", 0.0, 1.0, "DN", family="dark_row_noise_variance")] * ROWS)
 
-    def derivative_vectors(self, points, seeds, of_noise=False):
+    def small_shots(self, point):
+        return frozenset()
+
+    def derivative_vectors(self, points, seeds, of_noise=False, only=None):
         sigmas = [p.model.value(KEY) if p.model.effect("temporal_row_noise") is not None else 0.0 for p in points]
         return [np.full(ROWS, FLOOR_DN2 + sigma**2) for sigma in sigmas]
 

@@ -1,0 +1,72 @@
+"""Sums over the bands taken before pictures are made are those of the pictures, and ask little of a lens with a corner."""
+
+import numpy as np
+import pytest
+from scipy.stats import poisson
+
+from isetval.core.context import _inverse_poisson
+from isetval.core.signal import Layer, Signal
+from isetval.scenes import pictures
+from isetval.scenes.pictures import PROBE_X, PROBE_Y, SpectralPicture, transfer_nodes
+from isetval.scenes.planar import StraightEdge
+
+GRID = np.arange(400.0, 701.0, 5.0)
+WEIGHTS = np.exp(-(((GRID - np.array([[610.0], [540.0], [460.0]])) / 40) ** 2))
+
+
+def colored(fx, fy, wavelength_nm):
+    """A blur with a shift stated for red and for blue, which has a corner at green."""
+    shift = np.interp(wavelength_nm, [450.0, 550.0, 650.0], [0.5, 0.0, -0.3])
+    return np.exp(-2 * np.pi**2 * 0.5 * (fx**2 + fy**2) - 2j * np.pi * fx * shift)
+
+
+def signal(rng):
+    label = np.zeros((60, 66), np.intp)
+    label[20:, 30:], label[:30, 40:] = 1, 2
+    picture = SpectralPicture.of_labels(label, rng.random((GRID.size, 3)), 12)
+    edge = StraightEdge((0.1, 0.995), np.arange(-18, 18.0)[:, None], np.arange(-21, 21.0)[None, :])
+    white = rng.random((GRID.size, 1, 1))
+    layers = (Layer(white, picture), Layer(2 * white, edge), Layer(white))
+    whole = Signal(layers, "irradiance", (36, 42), GRID)
+    return whole.scaled(rng.random((1, 36, 42))).plus(0.2 * white).scaled(rng.random((GRID.size, 1, 1)))
+
+
+@pytest.mark.parametrize("blur", [None, colored])
+def test_bands_summed_first_are_the_sum_of_the_bands(blur):
+    for asked in range(2):  # the first time without pictures, then from those that are kept
+        seen = signal(np.random.default_rng(5)) if blur is None else signal(np.random.default_rng(5)).blurred(blur)
+        exact = np.tensordot(WEIGHTS, np.broadcast_to(seen.values, (GRID.size, 36, 42)), axes=1)
+        assert np.abs(seen.mixed(WEIGHTS) / exact - 1).max() < 1e-9, asked
+
+
+def test_a_factor_of_each_band_and_pixel_is_kept():
+    rng = np.random.default_rng(6)
+    seen = signal(rng).blurred(colored).scaled(rng.random((GRID.size, 36, 42)))
+    exact = np.tensordot(WEIGHTS, seen.values, axes=1)
+    assert np.abs(seen.mixed(WEIGHTS) / exact - 1).max() < 1e-9
+
+
+def test_a_blur_that_is_asked_for_once_makes_no_pictures(monkeypatch):
+    monkeypatch.setattr(pictures, "_BLURRED", type(pictures._BLURRED)())
+    monkeypatch.setattr(pictures, "_ASKED", type(pictures._ASKED)())
+    seen = signal(np.random.default_rng(7)).blurred(colored)
+    first = seen.mixed(WEIGHTS)
+    assert not pictures._BLURRED
+    assert np.abs(seen.mixed(WEIGHTS) / first - 1).max() < 1e-9
+    assert pictures._BLURRED
+
+
+def test_a_transfer_function_with_a_corner_is_parted_there():
+    """One polynomial needed every band of a lateral colour: 8 s for one chart."""
+    probe = np.asarray(colored(PROBE_X[:, None], PROBE_Y[:, None], GRID[None, :]))
+    nodes, weights = transfer_nodes(probe, GRID)
+    assert len(nodes) < GRID.size / 3
+    assert np.abs(probe[:, np.searchsorted(GRID, nodes)] @ weights - probe).max() < 1e-3
+
+
+def test_poisson_numbers_of_equal_chances_are_those_of_the_distribution():
+    rng = np.random.default_rng(8)
+    mean = rng.exponential(20, (40, 50))
+    mean[0, :5] = 0.0, 1e-6, 3.0, 250.0, 400.0
+    chance = rng.random(mean.shape)
+    assert np.array_equal(_inverse_poisson(chance, mean), np.maximum(poisson.ppf(chance, mean), 0))
