@@ -98,7 +98,8 @@ def _mean_square(problem: Problem, fit: Fit, mask: Mask, *, whole: bool) -> tupl
     total = square(fit.residual[rows], covariance)
     if not whole:
         return total / n / true, n
-    spent = degrees_spent(whitener(covariance) @ _raw(problem, fit.jacobian)[mask], fit.free)
+    white = fit.jacobian if mask.all() else whitener(covariance) @ _raw(problem, fit.jacobian)[mask]
+    spent = degrees_spent(white, fit.free)
     return total / max(n - spent, 1.0) / true, n
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -59,11 +59,13 @@ def jacobian(
     """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
 
     Columns of nuisances are remembered, and taken again where the problem bends: when one that is `curved`
-    and shares rows with them has moved by more than ``stale`` of its prior sigmas, or a relative one by a tenth.  With
-    ``both_sides`` columns of effects are central differences: a variance goes as the square of its parameter.
+    and shares rows with them has moved by more than ``stale`` of its prior sigmas, or a relative one by a tenth; in the
+    shots that feel it.  With ``both_sides`` columns of effects are central differences: a variance goes as the square of its
+    parameter.
     """
     moved = _moved(problem, point, free, stale)
-    wanted = [f for f in free if not f.is_nuisance or f.label not in problem.columns or f.label in moved]
+    _renew(problem, point, [f for f in free if f.label in moved], moved)
+    wanted = [f for f in free if not f.is_nuisance or f.label not in problem.columns]
     raw = dict(zip((f.label for f in wanted), slopes(problem, point, wanted, both_sides), strict=True))
     here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
     problem.columns.update({f.label: Column(raw[f.label], here) for f in wanted if f.is_nuisance})
@@ -74,18 +76,34 @@ def jacobian(
     return problem.whitened(np.column_stack([raw[f.label] if f.label in raw else problem.columns[f.label].slope for f in free]))
 
 
-def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float) -> set[str]:
-    """Nuisances whose remembered column no longer holds at a point."""
+def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float) -> dict[str, list[str]]:
+    """Nuisances whose remembered column no longer holds at a point, and those that moved too far for it."""
     known = [(f.label, problem.columns[f.label]) for f in free if f.label in problem.columns]
     curved = {f.label: stale * f.reach for f in free if f.curved}
     limits = {f.label: SCALED for f in free if f.unit == "relative"} | curved
     rows = {key: column.slope != 0 for key, column in known}
-    out = set()
+    out = {}
     for key, column in known:
         moved = (k for k in rows if abs(point.values.get(k, 0.0) - column.taken_at.get(k, 0.0)) > limits.get(k, np.inf))
-        if any(k in curved if k == key else np.any(rows[k] & rows[key]) for k in moved):
-            out.add(key)
+        if causes := [k for k in moved if (k in curved if k == key else np.any(rows[k] & rows[key]))]:
+            out[key] = causes
     return out
+
+
+def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Mapping[str, Sequence[str]]) -> None:
+    """Take columns anew in the shots that feel what has moved; in all others they hold as they are."""
+    if not stale:
+        return
+    part = problem.predictor.that_feel({k for f in stale for k in moved[f.label]})
+    whole = part is problem.predictor
+    here = {k: point.values.get(k, 0.0) for k in problem.columns}
+    for f, slope in zip(stale, slopes(replace(problem, predictor=part), point, stale), strict=True):
+        old = problem.columns[f.label]
+        problem.columns[f.label] = (
+            Column(slope, here)
+            if whole
+            else Column(np.where(part.predicted, slope, old.slope), {**old.taken_at, **{k: here[k] for k in moved[f.label]}})
+        )
 
 
 def made_parallel(problem: Problem, column: Float, focus: Sequence[Float]) -> Float:

@@ -114,7 +114,7 @@ class Predictor:
             name: Rows.of(list(dict.fromkeys([*(rows or {}).get(name, ()), *(self.keys[i] for i in own)])))
             for name, own in self.rows.items()
         }
-        self._pick = {name: self._wanted[name].places([self.keys[i] for i in own]) for name, own in self.rows.items()}
+        self.pick = {name: self._wanted[name].places([self.keys[i] for i in own]) for name, own in self.rows.items()}
         self._number = {shot.name: i for i, shot in enumerate(self.shots)}
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
@@ -135,6 +135,30 @@ class Predictor:
         other.__dict__.update(self.__dict__, plan=plan.as_plan())
         other.shots = tuple(shot for shot in plan.shots if shot.name in self.rows)
         return other
+
+    def only(self, names: Collection[str]) -> Predictor:
+        """The same rows, of which those of the named shots alone are predicted; workers and what is known are shared."""
+        if all(shot.name in names for shot in self.shots):
+            return self
+        other = object.__new__(Predictor)
+        other.__dict__.update(self.__dict__, shots=tuple(shot for shot in self.shots if shot.name in names))
+        return other
+
+    def that_feel(self, labels: Collection[str]) -> Predictor:
+        """The shots alone that some of these nuisances act on, or on the shot before; all for one of the camera or given rows."""
+        acting = {shot.name: {label for _, label in self.plan.nuisances_of(shot)} for shot in self.plan.shots}
+        if not set(labels) <= set().union(*acting.values()):
+            return self
+        felt = {name for name, own in acting.items() if own & set(labels)}
+        before = {shot.name: self.plan.before(shot) for shot in self.shots}
+        return self.only(felt | {name for name, other in before.items() if other is not None and other.name in felt})
+
+    @property
+    def predicted(self) -> NDArray[np.bool_]:
+        """Which of the rows are predicted, (metrics,)."""
+        out = np.zeros(len(self.keys), bool)
+        out[np.concatenate([self.rows[shot.name] for shot in self.shots])] = True
+        return out
 
     def close(self) -> None:
         """Stop the workers; keep what was simulated for the next time."""
@@ -218,9 +242,9 @@ class Predictor:
         every = [self.parts(point, BASE_SEED + r, derivative=False) for r in range(replicas)]
         count = min(COVARIANCE_REPLICAS, replicas)
         groups = [[parts[k] for parts in every] for k in range(len(self.shots))]
-        known = self._known(sample_of, groups, count)
+        known = self.known_or_made(sample_of, groups, [(count,)] * len(groups))
         values, covariance = self._gathered(
-            [Sampled.unpacked(vector).only(self._pick[shot.name]) for shot, vector in zip(self.shots, known, strict=True)]
+            [Sampled.unpacked(vector).only(self.pick[shot.name]) for shot, vector in zip(self.shots, known, strict=True)]
         )
         scale = scatter(values, measured_only(covariance, self.table), self.table.metrics)
         rendered = self._of_renders(every[0])
@@ -252,7 +276,7 @@ class Predictor:
         for i, part in self._runner.results(calls):
             name = rendered[i].setup.shot.name
             if part is not None:
-                out[np.ix_(self.rows[name], self.rows[name])] = part[np.ix_(self._pick[name], self._pick[name])]
+                out[np.ix_(self.rows[name], self.rows[name])] = part[np.ix_(self.pick[name], self.pick[name])]
         return out
 
     def _call(self, function: Any, tasks: Sequence[ShotPart], *more: Any) -> Call:
@@ -268,16 +292,19 @@ class Predictor:
         for i, vectors in self._runner.results(calls):
             for key, vector in zip(groups[i], vectors, strict=True):
                 self._memo.put(key, vector)
-        return [self._memo.items[key][self._pick[task.setup.shot.name]] for key, task in zip(keys, tasks, strict=True)]
+        return [self._memo.items[key][self.pick[task.setup.shot.name]] for key, task in zip(keys, tasks, strict=True)]
 
     def _key(self, task: ShotPart) -> str:
         return content_hash((task.key, self._wanted[task.setup.shot.name].digest))
 
-    def _known(self, function: Any, groups: Sequence[Sequence[ShotPart]], *more: Any) -> list[Float]:
-        """What a function gives for groups of tasks of one shot, from the store where it is known."""
-        keys = [content_hash((function.__name__, [self._key(task) for task in group], more)) for group in groups]
+    def known_or_made(self, function: Any, groups: Sequence[Sequence[ShotPart]], more: Sequence[tuple[Any, ...]]) -> list[Float]:
+        """What ``function(tasks, rows, *more)`` gives for groups of tasks of one shot, from the store where it is known."""
+        keys = [
+            content_hash((function.__name__, [self._key(task) for task in group], extra))
+            for group, extra in zip(groups, more, strict=True)
+        ]
         missing = [i for i, key in enumerate(keys) if self._memo.get(key) is None]
-        for i, vector in self._runner.results([self._call(function, groups[i], *more) for i in missing]):
+        for i, vector in self._runner.results([self._call(function, groups[i], *more[i]) for i in missing]):
             self._memo.put(keys[missing[i]], vector)
         return [self._memo.items[key] for key in keys]
 

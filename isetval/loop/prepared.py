@@ -268,6 +268,9 @@ def _set_up_part(problem: Problem, fitted: Fit, local: Float) -> Float:
     free = [f for f in fitted.free if f.is_nuisance and f.scope == "set-up"]
     if not free:
         return np.zeros((len(local), len(local)))
-    raw = np.column_stack(slopes(problem, fitted.point, free))[problem.keep]
+    metrics = problem.predictor.table.metrics
+    paired = {metrics[i].shot for i in problem.keep[np.any(local != 0, axis=0)]}
+    repeated = replace(problem, predictor=problem.predictor.only(paired))
+    raw = np.column_stack(slopes(repeated, fitted.point, free))[problem.keep]
     columns = local @ raw * np.array([f.prior or 0.0 for f in free])
     return np.asarray(columns @ columns.T)

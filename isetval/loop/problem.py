@@ -114,8 +114,9 @@ def weigh(problem: Problem) -> None:
     """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
     keep = problem.keep
     covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
-    for column in _frame_columns(problem):
-        covariance = covariance + np.outer(column, column)
+    if columns := _frame_columns(problem):
+        flicker = np.column_stack(columns)
+        covariance = covariance + flicker @ flicker.T
     covariance = covariance + np.diag(_rounding(problem, np.diag(covariance)))
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
     covariance = covariance * np.outer(rare, rare)

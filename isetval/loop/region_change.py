@@ -7,8 +7,9 @@ simulations themselves show.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
+from isetval.core.metric import Block
 from isetval.core.scene import ChartTarget, EdgeTarget, RenderedTarget
 from isetval.core.sensor import Roi, Sensor, Window
 from isetval.loop.fit import Fit
@@ -60,46 +62,52 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign, say: Teller
     each measured on both.  Var(s' - s) over the replicas is the noise of m' - m too, and 1/`REPLICAS` of it that of the mean.
     """
     predictor = problem.predictor
-    size = len(predictor.keys)
     teller = say or Teller()
     teller(f"measuring smaller regions, as {problem.nominal.name} and the captures have them")
-    change, noise = np.full(size, np.nan), np.full(size, np.nan)
-    replicas = [predictor.parts(fitted.point, SEED + r, derivative=False) for r in range(REPLICAS)]
-    for number, shot in enumerate(predictor.shots):
-        inner = _smaller(shot, replicas[0][number].model.sensor)
-        frames = campaign.captures.read(shot.name) if inner is not None else ()
-        if inner is None or not frames:
-            continue
-        own = predictor.rows[shot.name]
-        rows = Rows.of([predictor.keys[i] for i in own])
-        simulated = _simulated([parts[number] for parts in replicas], inner, frames, rows, problem.measured[own])
-        if simulated is not None:
-            change[own], noise[own] = simulated
-        teller.counted(number + 1, len(predictor.shots))
+    parts = [predictor.parts(fitted.point, SEED + r, derivative=False) for r in range(REPLICAS)]
+    groups, more, found = [], [], []
+    for shot, *tasks in zip(predictor.shots, *parts, strict=True):
+        inner = _smaller(shot, tasks[0].model.sensor)
+        measured = _measured(inner, campaign) if inner is not None else None
+        if inner is not None and measured is not None:
+            groups.append(tasks)
+            more.append((inner, measured[1]))
+            found.append(measured[0])
+    change, noise = (np.full(len(predictor.keys), np.nan) for _ in range(2))
+    simulated = predictor.known_or_made(differences_of, groups, more)
+    for tasks, blocks, vector in zip(groups, found, simulated, strict=True):
+        own = predictor.rows[tasks[0].setup.shot.name]
+        moved = vector.reshape(REPLICAS, -1)[:, predictor.pick[tasks[0].setup.shot.name]]
+        inside = Rows.of([predictor.keys[i] for i in own]).values(blocks)
+        change[own] = inside - problem.measured[own] - moved.mean(axis=0)
+        noise[own] = moved.var(axis=0, ddof=1) * (1 + 1 / REPLICAS)
     keep = problem.keep
     variance = np.diag(problem.covariance)[keep]
     return RegionChange(change[keep] / np.sqrt(variance), noise[keep] / variance)
 
 
-def _simulated(
-    tasks: Sequence[ShotPart], inner: Shot, frames: Sequence[Capture], rows: Rows, measured: Float
-) -> tuple[Float, Float] | None:
-    """What a shot's rows change by beyond the simulations, and the variance of that; None where it cannot be measured."""
+def _measured(inner: Shot, campaign: Campaign) -> tuple[list[Block], dict[str, Any]] | None:
+    """What a shot's captures show in its smaller region, and what was chosen there; None where it cannot be measured."""
+    frames = campaign.captures.read(inner.name)
+    if not frames:
+        return None
     try:
         found = measure_shot(inner, _cut(frames, inner))
     except InputError:
         return None
-    choices = {f"{inner.name}/{name}": dict(block.choices) for name, block in found if block.choices}
-    differences = []
+    return [block for _, block in found], {f"{inner.name}/{name}": dict(block.choices) for name, block in found if block.choices}
+
+
+def differences_of(tasks: Sequence[ShotPart], rows: Rows, inner: Shot, choices: Mapping[str, Any]) -> Float:
+    """What rows change by in the smaller region of one shot, replicas one after another, as one vector."""
+    out: list[Float] = []
     together = max(1, HELD_PIXELS // (tasks[0].pixels * tasks[0].setup.shot.frames))
     for i in range(0, len(tasks), together):
         whole = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices) for t in tasks[i : i + together]]
         before = measure_shots(tasks[0].setup.shot, whole, choices=tasks[0].choices)
         after = measure_shots(inner, [_cut(own, inner) for own in whole], choices=choices)
-        differences += [rows.values(b) - rows.values(a) for a, b in zip(before, after, strict=True)]
-    moved = np.array(differences)
-    change = rows.values([block for _, block in found]) - measured - moved.mean(axis=0)
-    return change, moved.var(axis=0, ddof=1) * (1 + 1 / len(moved))
+        out += [rows.values(b) - rows.values(a) for a, b in zip(before, after, strict=True)]
+    return np.concatenate(out)
 
 
 def _smaller(shot: Shot, sensor: Sensor) -> Shot | None:

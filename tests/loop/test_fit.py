@@ -27,6 +27,9 @@ class BentCamera:
     def __init__(self):
         self.calls = 0
 
+    def that_feel(self, labels):
+        return self
+
     def derivative_vectors(self, points, seeds, of_noise=False):
         self.calls += len(points)
         return [self.at(p.values.get(FOCUS, 0.0), p.values.get(SHIFT, 0.0)) for p in points]
@@ -103,6 +106,9 @@ class Product:
 
     def __init__(self, names):
         self.labels = [f"{name}@campaign:" for name in names]
+
+    def that_feel(self, labels):
+        return self
 
     def derivative_vectors(self, points, seeds, of_noise=False):
         return [self.at([p.values.get(label, 0.0) for label in self.labels]) for p in points]

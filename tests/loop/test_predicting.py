@@ -174,3 +174,40 @@ def test_a_light_that_flickers_makes_frames_rise_as_much_as_stated(model, bright
     assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.4  # 30 independent frames' lights: 1/sqrt(60) is .13
     bare = np.sqrt(np.diag(bright.base.covariance))[rises]
     assert np.sqrt(np.mean((pulls * sigma / bare) ** 2)) > 2
+
+
+def test_what_moved_is_differentiated_anew_in_the_shots_that_feel_it(model, plan):
+    """The edge's shift moved by three of its sigmas: of a reflectance that both edges share, the other keeps its column."""
+    again = replace(plan.shots[2], name="again", setup="again", target=EdgeTarget("edge", angle_deg=8.0))
+    shift = Nuisance("edge_shift_px", 0.5, "px", "set-up")
+    unknown = (shift, Nuisance("dark_reflectance", 0.002, "1", "measurement session"))
+    both = replace(plan, shots=(*plan.shots[1:], again), nuisances=unknown)
+    told = []
+    measured = measure_campaign(simulate(model, both, 3), summaries=False)
+    problem = make_problem(Predictor(both, measured, progress=lambda done, total: told.append((done, total))), Point(model))
+    free = nuisance_parameters(both, model)
+    jacobian(problem, Point(model), free)
+    first = dict(problem.columns)
+    label = next(f.label for f in free if f.name == "edge_shift_px" and f.group == "edge")
+    there = Point(model, {label: 1.5})
+    told.clear()
+    jacobian(problem, there, free)
+    assert (
+        sum(total for done, total in told if done == total) <= 6
+    )  # of one shot: as it is, both steps of its shift, and the reflectance's
+    fresh = make_problem(problem.predictor, Point(model), base=problem.base)
+    jacobian(fresh, there, free)
+    moved = np.array([m.shot == "edge" for m in measured.metrics])
+    for name, column in problem.columns.items():
+        np.testing.assert_allclose(column.slope[moved], fresh.columns[name].slope[moved])
+        np.testing.assert_array_equal(column.slope[~moved], first[name].slope[~moved])
+
+
+def test_all_shots_are_asked_for_what_is_not_known_to_act_on_some(model, plan, table):
+    predictor = Predictor(plan, table)
+    assert predictor.that_feel({"read_noise.sigma_e@campaign:"}) is predictor
+    assert [shot.name for shot in predictor.that_feel({LEVEL}).shots] == ["edge"]
+    (part,) = predictor.that_feel({LEVEL}).derivative_vectors([Point(model)])
+    (whole,) = predictor.derivative_vectors([Point(model)])
+    own = np.array([m.shot == "edge" for m in table.metrics])
+    np.testing.assert_array_equal(part, np.where(own, whole, np.nan))

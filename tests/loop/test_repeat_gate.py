@@ -32,6 +32,10 @@ class ColoredLight:
             ]
         )
 
+    def only(self, names):
+        assert set(names) == {"a", "b"}
+        return self
+
     def derivative_vectors(self, points, seeds, of_noise=False):
         return [self.means(p.values) for p in points]
 

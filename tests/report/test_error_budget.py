@@ -65,6 +65,18 @@ def test_a_border_in_the_flats_shows_as_a_matter_of_regions(model, campaign):
     assert rows["mtf"].region < 0.05 * rows["flat_mean"].region  # the edge has no border
 
 
+def test_smaller_regions_are_simulated_once(model, campaign, monkeypatch, tmp_path):
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+    small = campaign.only(["A_flat2", "A_edge_center_v_z0"])
+    told = ([], [])
+    first, again = (
+        isetval.compare(model, small, regions=True, progress=lambda words, done, total, own=own: own.append(words))
+        for own in told
+    )
+    assert [any("smaller regions" in words for words in own) for own in told] == [True, False]
+    assert again.budget == first.budget
+
+
 def test_a_set_up_that_does_not_repeat_is_not_blamed_on_the_model(model, campaign):
     repeated = next(s for s in campaign.shots if s.repeat_of)
     plan = campaign.as_plan()
