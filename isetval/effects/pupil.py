@@ -101,17 +101,15 @@ class CircularPupil:
         What the aberrations change is smooth and confined to a few pixels; the cone of diffraction at
         zero frequency, which makes the far tail, is not interpolated.
         """
-        from scipy.interpolate import RectBivariateSpline
-
-        plain = replace(self, **{field.name: 0.0 for field in fields(self) if field.name.endswith("_waves")})
+        plain = self._plain()
         reach = max(0.5, float(np.abs(fx).max()), float(np.abs(fy).max()))
-        axis = np.linspace(-reach, reach, GRID_FREQUENCIES)
-        cols, rows = axis[None, :], axis[:, None]
-        change = np.asarray(self.transfer(cols, rows, wavelength_nm) - plain.transfer(cols, rows, wavelength_nm))
-        real = plain.transfer(fx, fy, wavelength_nm) + RectBivariateSpline(axis, axis, change.real)(fy, fx, grid=False)
-        if not (self.coma_x_waves or self.coma_y_waves):
-            return np.asarray(real)
-        return cast(Float, real + 1j * RectBivariateSpline(axis, axis, change.imag)(fy, fx, grid=False))
+        changes = _changes(self, float(wavelength_nm), reach)
+        real = plain.transfer(fx, fy, wavelength_nm) + _evaluated(changes[0], fy, fx)
+        return np.asarray(real) if len(changes) == 1 else cast(Float, real + 1j * _evaluated(changes[1], fy, fx))
+
+    def _plain(self) -> CircularPupil:
+        """Without aberrations."""
+        return replace(self, **{field.name: 0.0 for field in fields(self) if field.name.endswith("_waves")})
 
     def _focus(self, wavelength_nm: Float) -> Float | float:
         if not (self.red_um or self.blue_um):
@@ -120,6 +118,29 @@ class CircularPupil:
 
     def _aberrated(self) -> bool:
         return any(getattr(self, field.name) for field in fields(self) if field.name.endswith("_waves"))
+
+
+@lru_cache(maxsize=64)
+def _changes(pupil: CircularPupil, wavelength_nm: float, reach: float) -> tuple[Any, ...]:
+    """Splines over (fy, fx) up to ``reach`` of what aberrations change in a transfer function, real and imaginary part; kept.
+
+    A picture is blurred in strips, and all shots at one focus alike.
+    """
+    from scipy.interpolate import RectBivariateSpline
+
+    axis = np.linspace(-reach, reach, GRID_FREQUENCIES)
+    at, there = np.array(wavelength_nm), (axis[None, :], axis[:, None])
+    change = np.asarray(pupil.transfer(*there, at) - pupil._plain().transfer(*there, at))
+    parts = (change.real, change.imag) if pupil.coma_x_waves or pupil.coma_y_waves else (change.real,)
+    return tuple(RectBivariateSpline(axis, axis, part) for part in parts)
+
+
+def _evaluated(spline: Any, fy: Float, fx: Float) -> Float:
+    """A spline at (fy, fx); on the grid of a picture's frequencies, a column and a row, by its two axes."""
+    if fy.shape[1:] != (1,) or fx.shape[:1] != (1,):
+        return np.asarray(spline(fy, fx, grid=False))
+    (rows, at_row), (cols, at_col) = (np.unique(axis, return_inverse=True) for axis in (fy[:, 0], fx[0]))
+    return np.asarray(spline(rows, cols)[np.ix_(at_row, at_col)])
 
 
 def axial_um(wavelength_nm: Float | float, red_um: float, blue_um: float) -> Float:
