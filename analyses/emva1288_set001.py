@@ -6,6 +6,14 @@ Model: the standard's linear one, drafted by ``isetval campaign init`` from a pa
 Results: ``reports/emva1288_set001.html``, ``.json`` and ``.png``; with ``--quick`` (no comparison) in a minute.
 
     python analyses/emva1288_set001.py [--data FOLDER] [--quick]
+
+The search takes the better part of an hour; by commands, in a copy of the set, it can be made once and shown here:
+
+    isetval campaign init SET
+    isetval diagnose SET/camera.toml SET/campaign_learn.toml --holdout SET/campaign_confirm.toml -o SET/d.json
+    isetval add SET/camera.toml --from SET/d.json -o SET/model2.toml
+    isetval compare SET/camera.toml SET/model2.toml SET/campaign_judge.toml -o SET/judge.json
+    python analyses/emva1288_set001.py --found SET/d.json --judged SET/judge.json
 """
 
 # %%
@@ -26,6 +34,7 @@ import isetval
 from isetval.app.cli import main as isetval_command
 from isetval.core.campaign import Campaign
 from isetval.files.emva_estimates import PARTS
+from isetval.files.result_file import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -173,12 +182,18 @@ def _points(slope: float, along: float, *data: Float) -> list[tuple[Float, Float
 
 
 # %% Compare, diagnose, add, compare on what was not used
-def run(data: Path, folder: Path, *, quick: bool, diagnose: bool = True) -> dict[str, object]:
-    """Everything that is printed and drawn."""
+def run(
+    data: Path, folder: Path, *, quick: bool, diagnose: bool = True, made: tuple[Path, Path] | None = None
+) -> dict[str, object]:
+    """Everything that is printed and drawn; ``made`` are results of the commands ``diagnose`` and ``compare``."""
     campaign = isetval.load_campaign(data)
     out: dict[str, object] = {"table": emva_table(campaign), "local_gain": local_gain(campaign)}
     out["local_gain_test"] = slope_of(out["local_gain"])  # type: ignore[arg-type]
     out["causes"] = causes(campaign)
+    if made is not None:
+        out["diagnosis"] = read_result(made[0], filled=True)
+        out["held_out"] = read_result(made[1], filled=True)["ladder"]
+        return out
     if quick:
         return out
     work = laboratory(data, folder)
@@ -220,6 +235,7 @@ def lines(result: dict[str, object]) -> list[str]:
             rivals = ", ".join(effect["equivalent"]) or "no rival"
             out.append(f"  {effect['name']}: {values} (posterior {effect['posterior']:.3f}; {rivals})")
         out.append(f"  left over: {diagnosis['leftover']}")
+        out += [f"  not looked at: {words}" for words in diagnosis.get("not_looked_at") or ()]
         for row in (r for r in diagnosis["ladder"] if r["family"] == "all"):
             where = f"{row['role']}, {row['captures']}"
             out.append(f"  {where}: {row['model']}: mean-square z {row['mean_square_z']:.1f}, n {row['n']}")
@@ -299,11 +315,21 @@ if __name__ == "__main__":
     parser.add_argument("--work", type=Path, help="folder for the drafted campaign, kept (default: a temporary one)")
     parser.add_argument("--quick", action="store_true", help="table and local gain alone, without comparison and diagnosis")
     parser.add_argument("--diagnose", action="store_true", help="ask isetval for the missing effect as well (minutes)")
+    parser.add_argument("--found", type=Path, metavar="RESULT", help="JSON of `isetval diagnose`, in place of asking again")
+    parser.add_argument("--judged", type=Path, metavar="RESULT", help="JSON of `isetval compare` that goes with --found")
     options = parser.parse_args()
+    if (options.found is None) != (options.judged is None):
+        parser.error("--found and --judged go together")
     if not options.data.is_dir():
         raise SystemExit(f"{options.data}: the set is not there; name its folder with --data")
     with tempfile.TemporaryDirectory() as temporary:
-        made = run(options.data, options.work or Path(temporary), quick=options.quick, diagnose=options.diagnose)
+        made = run(
+            options.data,
+            options.work or Path(temporary),
+            quick=options.quick,
+            diagnose=options.diagnose,
+            made=(options.found, options.judged) if options.found else None,
+        )
     print("\n".join(lines(made)))
     (ROOT / "reports" / "emva1288_set001.json").write_text(json.dumps(made, indent=1, default=float) + "\n")
     draw(made, ROOT / "reports" / "emva1288_set001.png")
