@@ -32,6 +32,8 @@ from numpy.typing import NDArray
 
 import isetval
 from isetval.app.cli import main as isetval_command
+from isetval.app.cli.tables import text_table
+from isetval.app.words import relative_words
 from isetval.core.campaign import Campaign
 from isetval.files.emva_estimates import PARTS
 from isetval.files.result_file import read_result
@@ -217,16 +219,6 @@ def lines(result: dict[str, object]) -> list[str]:
         f"slope {test['slope']:.2f} +- {test['slope_sigma']:.2f} (2 if the local gain is the cause), "
         f"correlation {test['correlation']:.2f}."
     ]
-    held = [row for row in result.get("held_out", []) if row["family"] != "all"]  # type: ignore[attr-defined]
-    if held:
-        out.append("levels and stacks that nothing was learned from: mean-square z (relative error) by family")
-        models = list(dict.fromkeys(row["model"] for row in held))
-        for family in dict.fromkeys(row["family"] for row in held):
-            own = {row["model"]: row for row in held if row["family"] == family}
-            words = (
-                f"{m} {own[m]['mean_square_z']:.1f} ({100 * own[m]['rms_relative_error']:.1f} %)" for m in models if m in own
-            )
-            out.append(f"  {family}: {'; '.join(words)}, n {next(iter(own.values()))['n']}")
     diagnosis = result.get("diagnosis")
     if isinstance(diagnosis, dict):
         out.append(f"verdict: {diagnosis['verdict']}")
@@ -240,6 +232,18 @@ def lines(result: dict[str, object]) -> list[str]:
             where = f"{row['role']}, {row['captures']}"
             out.append(f"  {where}: {row['model']}: mean-square z {row['mean_square_z']:.1f}, n {row['n']}")
     return out
+
+
+def held_out(result: dict[str, object]) -> list[list[object]]:
+    """Families of the levels and stacks that nothing was learned from: mean-square z and relative error of each model."""
+    held: list[dict[str, object]] = result.get("held_out", [])  # type: ignore[assignment]
+    models = list(dict.fromkeys(row["model"] for row in held))
+    table: list[list[object]] = [["family", "n", *(f"{m}: {what}" for m in models for what in ("mean-square z", "rms error"))]]
+    for family in dict.fromkeys(row["family"] for row in held):
+        own = [row for m in models for row in held if (row["family"], row["model"]) == (family, m)]
+        cells = (cell for row in own for cell in (f"{row['mean_square_z']:.2f}", relative_words(row)))
+        table.append([str(family).replace("_", " "), own[0]["n"], *cells])
+    return table
 
 
 def draw(result: dict[str, object], path: Path) -> None:
@@ -289,6 +293,8 @@ def write_page(result: dict[str, object], path: Path) -> None:
     keys = ("symbol", "name", "value", "sigma", "unit", "published", "note")
     table = cells(list(keys), "th") + "".join(cells([row[k] for k in keys]) for row in result["table"])  # type: ignore[attr-defined]
     said = "".join(f"<p>{escape(line)}</p>" for line in lines(result))
+    head, *families = held_out(result)
+    held = cells(head, "th") + "".join(map(cells, families))
     if "diagnosis" not in result:
         said += "<p>isetval diagnose was not run for this page (no --diagnose); the causes are named by its own test.</p>"
     picture = base64.b64encode(path.with_suffix(".png").read_bytes()).decode()
@@ -304,6 +310,7 @@ def write_page(result: dict[str, object], path: Path) -> None:
         " "
         "(widths that go together over more than 16 codes would). A test: the same camera with another analog gain or offset; "
         "codes of unequal width stay at the same codes, effects of the light do not.</p>"
+        f"<h2>Levels and stacks that nothing was learned from</h2><table>{held}</table>"
         f"<h2>Table of the standard</h2><table>{table}</table>"
         "</html>\n"
     )
@@ -330,7 +337,8 @@ if __name__ == "__main__":
             diagnose=options.diagnose,
             made=(options.found, options.judged) if options.found else None,
         )
-    print("\n".join(lines(made)))
+    head, *families = held_out(made)
+    print("\n".join([*lines(made), "levels and stacks that nothing was learned from", *text_table(head, families)]))
     (ROOT / "reports" / "emva1288_set001.json").write_text(json.dumps(made, indent=1, default=float) + "\n")
     draw(made, ROOT / "reports" / "emva1288_set001.png")
     write_page(made, ROOT / "reports" / "emva1288_set001.html")
