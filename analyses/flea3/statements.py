@@ -5,6 +5,8 @@ from __future__ import annotations
 from statistics import median
 from typing import Any
 
+from analyses.flea3.verdict import NAMED
+
 FAR_NM = 60.0  # six widths of the filters
 
 
@@ -156,10 +158,26 @@ def _named(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     found = verdict.get("diagnosis")
     if found:
         names = ", ".join(f"{e['name']} (posterior {e['posterior']:.2f})" for e in found["effects"]) or "nothing"
+        left = f" Left over: {found['leftover']}." if found["leftover"] else ""
         out.append(
-            (f"isetval diagnose: {found['verdict']}, {names}.", "by the catalogue alone.", "Charts at true pixels with repeats.")
+            (
+                f"isetval diagnose: {found['verdict']}, {names}.{left}",
+                f"by the catalogue alone. {_judged(verdict['left_out'])}",
+                "Charts at true pixels with repeats.",
+            )
         )
     return out
+
+
+def _judged(left_out: dict[str, Any]) -> str:
+    """Whether what was named lowers the error on captures that were not used."""
+    rows = [row for own in left_out.values() for row in own if any(other["model"] == NAMED for other in own)]
+    if not rows:
+        return "nothing was added, so that no error could fall."
+    before, after = (next(row for row in rows if (row["model"] == NAMED) == is_named) for is_named in (False, True))
+    numbers = f"{before['mean_square_z']:.2f} to {after['mean_square_z']:.2f}"
+    fell = after["mean_square_z"] < before["mean_square_z"]
+    return f"On captures left out its mean-square z {'falls from' if fell else 'does not fall:'} {numbers}."
 
 
 def _settled(left_out: dict[str, Any]) -> str:

@@ -23,6 +23,7 @@ from isetval.files.chart_parts import PARTS
 Say = Callable[[str], None]
 HELD_S, HELD_LIGHT = (0.25, 2.0), "650nm"
 DISK_S = (0.1, 0.5)
+NAMED = "with what was named"
 
 
 def part(campaign: Campaign, times: tuple[float, ...], *, only: str = "") -> Campaign:
@@ -85,7 +86,7 @@ def verdict(
         learn, confirm, judge = (isetval.load_campaign(laboratory.folder / f"campaign_{name}.toml") for name in PARTS)
         found = isetval.diagnose(model, learn, confirm, say=say, with_next_captures=False)
         out["diagnosis"] = found.to_json()
-        rungs = [model, replace(found.model, name="with what was named")] if found.effects else [model]
+        rungs = [model, replace(found.model, name=NAMED)] if found.effects else [model]
         out["left_out"]["one band and every third exposure of the others"] = ladder(rungs, judge, say)
     return out
 
