@@ -72,10 +72,11 @@ def _parts(problem: Problem) -> dict[str, Float]:
     table = problem.predictor.table
     total = np.diag(problem.covariance)[keep]
     render = np.broadcast_to(base.render, len(table.metrics))[keep]
-    captures = np.maximum(np.diag(base.covariance)[keep] - render, 0.0)
+    more = 1 / base.replicas
+    known = np.maximum(total / (1 + more) - render, 0.0)  # counts of rare events have their own law in place of the simulated
+    captures = np.clip(np.diag(base.covariance)[keep] - render, 0.0, known)
     sigma = np.array([table.metrics[i].sigma for i in keep])
     own = sigma**2 / np.maximum(table.sigma[keep] ** 2, 1e-300)
-    more = 1 / base.replicas
     shares = {
         "sampling": own * captures,
         "specimen": (1 - own) * captures,
