@@ -1,7 +1,7 @@
 """A first ``campaign.toml`` for a laboratory's folder: read, group, register, relate the lights, write.
 
 The steps stand in files of their own: `folder_reading`, `shot_grouping`, `recognition` with `registration`, `light_levels`,
-`campaign_drafting`, `draft_priors`, `draft_text`.
+`drafting`, `chart_drafting`, `campaign_drafting`, `draft_priors`, `draft_text`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from isetval.core.scene import read_spectra
 from isetval.core.sensor import Sensor
 from isetval.core.toml import PACKAGE_PREFIX, data_folder
 from isetval.core.writing import write_whole
-from isetval.files.campaign_drafting import Drafting, bracket_scatter, drafted, unscaled_light
+from isetval.files.campaign_drafting import drafted
+from isetval.files.chart_drafting import bracket_scatter
 from isetval.files.chart_parts import part_files
 from isetval.files.dng.metadata import UNKNOWN_PITCH_UM
 from isetval.files.draft_priors import camera_words, light_priors, target_priors
 from isetval.files.draft_text import draft_text
 from isetval.files.draft_types import Draft, DraftLight, DraftPrior, DraftShot, Seen
 from isetval.files.drafted_camera import CAMERA, drafted_camera, with_channel_gain
+from isetval.files.drafting import Drafting, unscaled_light
 from isetval.files.file_facts import FileFacts
 from isetval.files.folder_reading import FolderFacts, read_folder
 from isetval.files.light_levels import dark_levels, lit_setups

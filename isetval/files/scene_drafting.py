@@ -14,8 +14,9 @@ from isetval.core.campaign import Shot
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.sensor import RoiLike, Window
 from isetval.core.toml import PACKAGE_PREFIX, named_file
-from isetval.files.campaign_drafting import Drafting, cut, placed, shot_name, white_dn
+from isetval.files.chart_drafting import white_dn
 from isetval.files.draft_types import DraftPrior, DraftShot, DraftTarget
+from isetval.files.drafting import Drafting, cut, placed, shot_name
 from isetval.files.light_levels import known_exposure, signal_dn
 from isetval.files.scene_registration import check_scene, scene_pose
 from isetval.files.shot_grouping import ShotGroup
