@@ -15,7 +15,7 @@ import numpy as np
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.metric import Block, Metric
-from isetval.measure.analyses.noise_by_level import BINS, ROLES, choose_levels, patches_by_channel
+from isetval.measure.analyses.noise_by_level import BINS, ROLES, choose_levels, moments_by_channel, patches_by_channel
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.noise.patch_noise import Patch
 
@@ -51,7 +51,7 @@ def patch_summary(shot: Shot, captures: Sequence[Capture], options: Mapping[str,
     if shot.role not in ROLES or (len(captures) < 2 and not published):
         return Block(())
     patches = patches_by_channel(captures, options)
-    levels = {} if published else choose_levels(captures[0], patches)
+    levels = {} if published else choose_levels(captures[0], moments_by_channel(captures, options))
     conditions = shot_conditions(shot, captures[0].sensor) | {"summary": True}
     rows: list[Metric] = []
     for channel, every in patches.items():

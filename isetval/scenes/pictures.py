@@ -23,12 +23,9 @@ FEW = 7  # nodes of one polynomial; two of four each take no more
 COUNTS = (1, 2, 3, 4, 5, 7, 9, 13, 17, 25)
 TOLERANCE = 1e-4
 KEEP_BYTES = 300_000_000  # of each kind, in each process: five windows of a rendered chart
-WORTH = 4  # sums that cost as much as all pictures: ten parts come back from frequencies at each node, and three channels once
-ASKED = 1000  # blurs: some tens of points of a plan
 _BLURRED: OrderedDict[str, Float] = OrderedDict()
 _LABELLED: OrderedDict[str, SpectralPicture] = OrderedDict()
 _TRANSFORMS: OrderedDict[str, Float] = OrderedDict()
-_ASKED: OrderedDict[str, int] = OrderedDict()  # how often blurs were asked for
 # frequencies at which a transfer function is looked at, in cycles per sample: along both axes and both diagonals
 _PROBE: Float = np.linspace(1 / 24, 0.5, 12)
 PROBE_X: Float = np.concatenate([_PROBE, 0 * _PROBE, _PROBE, -_PROBE])
@@ -145,14 +142,6 @@ class SpectralPicture:
 
     def mixed(self, weights: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
         """Sums of the blurred picture over the bands, with ``weights`` (channels, bands): (channels, rows, cols)."""
-        if transfer is not None and wavelength_nm is not None:
-            probe = self._probe(transfer, wavelength_nm)
-            key = content_hash((self.digest, np.round(probe.astype(complex), 12), wavelength_nm))
-            asked = _ASKED[key] = _ASKED.pop(key, 0) + 1
-            if len(_ASKED) > ASKED:
-                _ASKED.popitem(last=False)
-            if asked <= WORTH:
-                return self._sums(weights, transfer, *self._nodes(probe, wavelength_nm))
         mix, parts = self._seen(transfer, wavelength_nm)
         return np.asarray(((weights @ mix) @ parts.reshape(len(parts), -1)).reshape(-1, *self.shape))
 
@@ -211,19 +200,6 @@ class SpectralPicture:
             spectrum = spectra[used[0]] if used.size == 1 else np.tensordot(share[used], spectra[used], 1)
             out[i] = self._back(spectrum * optics[node])
         return out
-
-    def _sums(self, weights: Float, transfer: Transfer, shares: Float, wanted: Float, nodes: Float) -> Float:
-        """Sums over the bands, (channels, rows, cols), taken before the way back from frequencies: once for each channel.
-
-        For a blur that is asked for a few times, as in the steps of a fit; what is asked for more often has its pictures made
-        and kept.
-        """
-        total: Any = 0.0
-        mix = weights @ shares
-        for node in np.unique(nodes):
-            own = nodes == node
-            total = total + np.tensordot(mix[:, own] @ wanted[own], self._transforms, 1) * self._at(transfer, node)
-        return np.array([self._back(spectrum) for spectrum in total])
 
     @property
     def _size(self) -> list[int]:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, plane_black_dn, planes_of
@@ -16,6 +17,7 @@ from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.noise.patch_noise import Patch, PatchMoments, patch_moments, uniform_patches
 
 ROLES = ("chart", "scene")
+OF_MOMENTS = ("roi", "size", "count", "seed", "channel")  # options of `uniform_patches` that say which patches
 SIZE = 10  # mosaic pixels, as in the paper
 MOST = 4000  # patches: a noise in eight bins to 1 %; more cost time and tell nothing else
 BINS = 8  # levels of the paper's figure; a hundred patches each on a small chart
@@ -51,12 +53,12 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     if len(captures) < 2:
         return Block(())
     options = ({"channel": shot.channel} if shot.channel else {}) | choices.get("options", {})
-    levels: Levels = choices.get("levels") or choose_levels(captures[0], patches_by_channel(captures, options))
-    found = patch_moments(captures, **{key: value for key, value in _settings(captures, options).items() if key != "method"})
+    found = moments_by_channel(captures, options)
+    levels: Levels = choices.get("levels") or choose_levels(captures[0], found)
     conditions = shot_conditions(shot, captures[0].sensor)
     rows = [
         _noise_row(conditions, shot, channel, f"level {k + 1}", found[channel], numbers)
-        for channel in _in_order(captures[0], found)  # however the choices were kept
+        for channel in found  # in the order of the planes, however the choices were kept
         for k, numbers in enumerate(levels.get(channel, ()))
     ]
     return Block(tuple(rows), choices={**choices, "levels": levels})
@@ -72,7 +74,7 @@ def holds(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -
     if len(captures) < 2:
         return True
     own = {"channel": shot.channel} if shot.channel else {}
-    levels = choose_levels(captures[0], patches_by_channel(captures, own | choices.get("options", {})))
+    levels = choose_levels(captures[0], moments_by_channel(captures, own | choices.get("options", {})))
     here, there = ({c: {i for part in bins for i in part} for c, bins in found.items()} for found in (levels, choices["levels"]))
     return set(here) == set(there) and all(len(there[c] & here[c]) >= AGREE * len(there[c]) for c in there)
 
@@ -83,6 +85,13 @@ def patches_by_channel(captures: Sequence[Capture], options: Mapping[str, Any]) 
     found: dict[str, list[Patch]] = {}
     for patch in table.patches:
         found.setdefault(patch.channel, []).append(patch)
+    return {name: found[name] for name in _in_order(captures[0], found)}
+
+
+def moments_by_channel(captures: Sequence[Capture], options: Mapping[str, Any]) -> dict[str, PatchMoments]:
+    """The numbers of the same patches of two or more frames, by channel, without a `Patch` for each."""
+    settings = _settings(captures, options)
+    found = patch_moments(captures, **{key: settings[key] for key in OF_MOMENTS if key in settings})
     return {name: found[name] for name in _in_order(captures[0], found)}
 
 
@@ -97,26 +106,26 @@ def _in_order(capture: Capture, channels: Collection[str]) -> list[str]:
     return [name for name in (*planes_of(capture), "G") if name in channels]
 
 
-def choose_levels(capture: Capture, patches: Mapping[str, Sequence[Patch]]) -> Levels:
+def choose_levels(capture: Capture, patches: Mapping[str, PatchMoments]) -> Levels:
     """Numbers of the patches of each bin, by channel; a channel without an even patch has none."""
     out: Levels = {}
     for channel, every in patches.items():
         range_dn = capture.sensor.white_dn - plane_black_dn(capture, "Gr" if channel == "G" else channel)
-        unclipped = [i for i, p in enumerate(every) if not p.reason and p.mean_dn + CLIPPED_SD * p.temporal_std_dn < range_dn]
+        open_ = (every.clip == 0) & (every.mean_dn + CLIPPED_SD * every.temporal_std_dn < range_dn)
         # evenness is judged against the noise of the whole bin: a patch's own would be selected with it
-        even = []
-        for numbers in _bins(unclipped, every):
-            noise = math.sqrt(float(np.mean([every[i].temporal_std_dn ** 2 for i in numbers])))
-            even += [i for i in numbers if every[i].spatial_std_dn <= EVEN * noise]
+        even: list[int] = []
+        for numbers in _bins(np.flatnonzero(open_), every):
+            noise = math.sqrt(float(np.mean(every.temporal_std_dn[numbers] ** 2)))
+            even += [i for i in numbers if every.spatial_std_dn[i] <= EVEN * noise]
         if even:
-            out[channel] = _bins(even, every)
+            out[channel] = _bins(np.array(even), every)
     return out
 
 
-def _bins(numbers: Sequence[int], patches: Sequence[Patch]) -> list[list[int]]:
+def _bins(numbers: NDArray[np.intp], patches: PatchMoments) -> list[list[int]]:
     """Up to eight bins of equally many patches, by rising mean."""
-    ordered = sorted(numbers, key=lambda i: patches[i].mean_dn)
-    return [[int(i) for i in part] for part in np.array_split(ordered, min(BINS, len(ordered)))] if ordered else []
+    ordered = numbers[np.argsort(patches.mean_dn[numbers], kind="stable")]
+    return [[int(i) for i in part] for part in np.array_split(ordered, min(BINS, len(ordered)))] if len(ordered) else []
 
 
 def _noise_row(

@@ -128,6 +128,14 @@ def uniform_patches(
             raise InputError("method lyu2022 needs gain_dn_per_e (its outlier limit is three Poisson sd); give the gain in DN/e-")
         name = channel or ("MONO" if frames[0].sensor.cfa == "MONO" else "G")
         return PatchTable(tuple(_published_rule(frames[0], corners, size, name, gain_dn_per_e, seed)), method)
+    _check_two_frame(frames, size)
+    found: list[Patch] = []
+    for group in _channels(frames[0], channel):
+        found += _two_frame(frames, group, corners, size, channel if channel == "G" else group[0])
+    return PatchTable(tuple(found), method)
+
+
+def _check_two_frame(frames: Sequence[Capture], size: int) -> None:
     if size % 2 and frames[0].sensor.cfa != "MONO":
         raise InputError(f"size is {size}; it needs an even number on a Bayer mosaic, so that every patch holds the same pixels")
     if len(frames) < 2:
@@ -135,10 +143,6 @@ def uniform_patches(
             "uniform_patches was given one frame; the two-frame method needs two or more of the same scene "
             "(no single-frame rule tells texture from noise), or choose method='lyu2022'"
         )
-    found: list[Patch] = []
-    for group in _channels(frames[0], channel):
-        found += _two_frame(frames, group, corners, size, channel if channel == "G" else group[0])
-    return PatchTable(tuple(found), method)
 
 
 def _channels(capture: Capture, channel: str | None) -> list[tuple[str, ...]]:
@@ -182,10 +186,24 @@ class PatchMoments:
 
 
 def patch_moments(
-    frames: Sequence[Capture], *, size: int = 10, count: int | None = None, seed: int = 0, channel: str | None = None
+    frames: Sequence[Capture],
+    roi: RoiLike | None = None,
+    *,
+    size: int = 10,
+    count: int | None = None,
+    seed: int = 0,
+    channel: str | None = None,
 ) -> dict[str, PatchMoments]:
-    """The numbers behind the patches of `uniform_patches` with two or more frames, by channel, in their order."""
-    corners = _corners(check_roi(frames[0], None), size, count, seed)
+    """The numbers behind the patches of `uniform_patches` with ``two_frame``, by channel, in their order; arguments as there.
+
+    Raises
+    ------
+    InputError
+        As `uniform_patches`.
+    """
+    check_frames(frames)
+    _check_two_frame(frames, size)
+    corners = _corners(check_roi(frames[0], roi), size, count, seed)
     groups = {channel if channel == "G" else group[0]: group for group in _channels(frames[0], channel)}
     return {label: _group_moments(frames, group, corners, size) for label, group in groups.items()}
 
