@@ -294,7 +294,8 @@ def write_page(result: dict[str, object], path: Path) -> None:
     table = cells(list(keys), "th") + "".join(cells([row[k] for k in keys]) for row in result["table"])  # type: ignore[attr-defined]
     said = "".join(f"<p>{escape(line)}</p>" for line in lines(result))
     head, *families = held_out(result)
-    held = cells(head, "th") + "".join(map(cells, families))
+    rows = cells(head, "th") + "".join(map(cells, families))
+    held = f"<h2>Levels and stacks that nothing was learned from</h2><table>{rows}</table>" if families else ""
     if "diagnosis" not in result:
         said += "<p>isetval diagnose was not run for this page (no --diagnose); the causes are named by its own test.</p>"
     picture = base64.b64encode(path.with_suffix(".png").read_bytes()).decode()
@@ -310,8 +311,7 @@ def write_page(result: dict[str, object], path: Path) -> None:
         " "
         "(widths that go together over more than 16 codes would). A test: the same camera with another analog gain or offset; "
         "codes of unequal width stay at the same codes, effects of the light do not.</p>"
-        f"<h2>Levels and stacks that nothing was learned from</h2><table>{held}</table>"
-        f"<h2>Table of the standard</h2><table>{table}</table>"
+        f"{held}<h2>Table of the standard</h2><table>{table}</table>"
         "</html>\n"
     )
 
@@ -338,7 +338,8 @@ if __name__ == "__main__":
             made=(options.found, options.judged) if options.found else None,
         )
     head, *families = held_out(made)
-    print("\n".join([*lines(made), "levels and stacks that nothing was learned from", *text_table(head, families)]))
+    judged = ["levels and stacks that nothing was learned from", *text_table(head, families)] if families else []
+    print("\n".join([*lines(made), *judged]))
     (ROOT / "reports" / "emva1288_set001.json").write_text(json.dumps(made, indent=1, default=float) + "\n")
     draw(made, ROOT / "reports" / "emva1288_set001.png")
     write_page(made, ROOT / "reports" / "emva1288_set001.html")

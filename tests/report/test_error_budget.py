@@ -12,6 +12,8 @@ from isetval.core.captures import MemoryCaptures
 from isetval.core.scene import Patch, RenderedTarget, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
+from isetval.loop.error_budget import error_budget
+from isetval.loop.prepared import prepare
 
 RIM_PX = 4  # of a flat's window, darkened: a border that came into the picture
 
@@ -34,11 +36,14 @@ def _rows(comparison):
     return {row.family: row for row in comparison.budget}
 
 
+def _shares(row):
+    return (row.sampling, row.specimen, row.simulation, row.render, row.light)
+
+
 def test_of_a_true_model_nothing_is_beyond_the_error_bars(model, campaign):
     rows = _rows(isetval.compare(model, campaign, regions=True))
     for row in rows.values():
-        shares = (row.sampling, row.specimen, row.simulation, row.render, row.light)
-        assert sum(shares) == pytest.approx(1)
+        assert sum(_shares(row)) == pytest.approx(1)
         assert row.render == 0
     # means of squares of normal numbers: sd sqrt(2/n) of the mean, four of them; rows of one shot share their noise (n/4)
     for family in ("flat_mean", "mtf"):
@@ -63,6 +68,18 @@ def test_a_border_in_the_flats_shows_as_a_matter_of_regions(model, campaign):
     for family in ("flat_mean", "flat_fixed_pixel_variance"):
         assert rows[family].region > 20 * max(abs(before[family].region), 0.1)
     assert rows["mtf"].region < 0.05 * rows["flat_mean"].region  # the edge has no border
+
+
+@pytest.mark.parametrize("of_simulated", [0.5, 1.0, 2.0])
+def test_shares_add_to_one_where_the_variance_is_not_the_simulated_one(model, campaign, of_simulated):
+    """Rare counts have their own law in place of the simulated one, which may be narrower or wider."""
+    with prepare(model, campaign.only(["A_flat2"])) as prepared:
+        problem, fitted = prepared.settled(model)
+        changed = replace(problem, covariance=of_simulated * problem.covariance)
+        rows = error_budget(prepared, changed, fitted, None)
+    for row in rows:
+        assert sum(_shares(row)) == pytest.approx(1)
+        assert min(_shares(row)) >= 0
 
 
 def test_smaller_regions_are_simulated_once(model, campaign, monkeypatch, tmp_path):

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.plots.lens import lens_figures
-from isetval.app.plots.panels import figure_bytes
-from isetval.app.report.pages import rendered
+from isetval.app.plots.sheets import Sheet
+from isetval.app.report.measurement import page_of
 
 if TYPE_CHECKING:
     from isetval.lens.audit_report import LensAudit
@@ -28,30 +26,19 @@ TITLES = (
 
 def lens_html(result: Mapping[str, Any], audit: LensAudit, file: Path) -> str:
     """The page as text; ``result`` is that of ``isetval lens audit`` with its provenance."""
-    made = result.get("provenance", {})
     count = len(audit.flags)
-    return rendered(
-        "measurement.html",
+    tables = {TITLES[1]: _conjugates(audit)}
+    return page_of(
+        result,
         what="isetval lens audit",
         title=f"Lens {audit.name}",
         headline=[("the lens", _numbers(audit)), ("f-number", _f_numbers(audit))],
         sheets=[
-            {
-                "title": title,
-                "table": _conjugates(audit) if title == TITLES[1] else [],
-                "remarks": [],
-                "picture": base64.b64encode(figure_bytes(figure, "svg")).decode("ascii"),
-            }
+            Sheet(title, tables.get(title, ()), (), figure)
             for title, figure in zip(TITLES, lens_figures(file, audit), strict=True)
         ],
         quality=[f"{count or 'no'} contradiction{'' if count == 1 else 's'} found"],
         notes=[f"{f.code.replace('_', ' ')}: {f.found}. Needed: {f.needed}. To do: {f.remedy}." for f in audit.flags],
-        skipped=(),
-        command=" ".join(made.get("command", ())),
-        versions=made.get("versions", {}),
-        inputs=[(path, entry["sha256"][:16]) for path, entry in made.get("inputs", {}).items()],
-        more=0,
-        json=json.dumps(result, allow_nan=False).replace("<", "\\u003c"),
     )
 
 

@@ -32,12 +32,34 @@ def measurement_html(
         The numbers people ask for; first row of each table its header.
     sheets : sequence of Sheet
     """
-    made = result.get("provenance", {})
     quality, notes = quality_first(result.get("notes", ()))
-    return rendered(
-        "measurement.html",
+    return page_of(
+        result,
         what="isetval measure",
         title=f"Measurement of {result.get('campaign') or _files_words(list(result.get('files', {})))}",
+        headline=headline,
+        sheets=sheets,
+        quality=quality,
+        notes=[*warnings_of(result.get("files", {})), *gathered(notes)],
+    )
+
+
+def page_of(
+    result: Mapping[str, Any],
+    *,
+    what: str,
+    title: str,
+    headline: Sequence[tuple[str, Sequence[tuple[str, ...]]]],
+    sheets: Sequence[Sheet],
+    quality: Sequence[str],
+    notes: Sequence[str],
+) -> str:
+    """A page of numbers, remarks and pictures: ``quality`` are its first words, ``result`` is held for download."""
+    made = result.get("provenance", {})
+    return rendered(
+        "measurement.html",
+        what=what,
+        title=title,
         headline=headline,
         sheets=[
             {
@@ -49,7 +71,8 @@ def measurement_html(
             for sheet in sheets
         ],
         quality=quality,
-        notes=[*warnings_of(result.get("files", {})), *gathered(notes)],
+        notes=notes,
+        name=what.removeprefix("isetval ").replace(" ", "_"),
         skipped=result.get("skipped", ()),
         command=" ".join(made.get("command", ())),
         versions=made.get("versions", {}),
