@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
 from typing import Any
 
 from isetval.app.words import with_sigma
@@ -35,17 +37,21 @@ ONE_OF = (("read_noise_e", "read_noise_dn"), ("dsnu_e", "dsnu_dn"), ("dark_curre
 """Where the first is known the second says the same in other units."""
 
 
-def headline_tables(rows: Sequence[Row], *, files: Files | None = None, sign: str = "+-") -> list[tuple[str, Table]]:
+def headline_tables(
+    rows: Sequence[Row], *, files: Files | None = None, half_diagonal_mm: float = 0.0, sign: str = "+-"
+) -> list[tuple[str, Table]]:
     """Titled tables, each with its header as first row; none where nothing of the kind was measured.
 
-    ``files`` are the described files of a measurement: their shapes say where in the frame an edge lies.
+    ``files`` are the described files of a measurement: their shapes say where in the frame an edge lies, and their warnings
+    whether the pixel pitch is known.  ``half_diagonal_mm`` is that of a campaign's sensor, which says it of shots (0: unknown).
     """
+    field = _Field(files or {}, half_diagonal_mm)
     made = (
         _series(rows, sign),
         _charts(rows, sign),
         _disks(rows, sign),
-        _falloff(rows, sign),
-        _sharpness(rows, sign, files or {}),
+        _falloff(rows, sign, field),
+        _sharpness(rows, sign, field),
     )
     found = [entry for part in made for entry in part]
     return [(title, table) for title, table in found if len(table) > 1]
@@ -117,7 +123,7 @@ def _of(session: str) -> str:
     return f", session {session}" if session else ""
 
 
-def _falloff(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
+def _falloff(rows: Sequence[Row], sign: str, field: _Field) -> Iterable[tuple[str, Table]]:
     """Relative illumination farthest out: of every set-up of windows, and of the full frame that tells it best in its session."""
     own = [row for row in rows if row["name"] == "relative_illumination"]
     places: dict[str, list[Row]] = {}
@@ -137,18 +143,15 @@ def _falloff(rows: Sequence[Row], sign: str) -> Iterable[tuple[str, Table]]:
             continue
         far = max(here, key=lambda row: _radius_mm(row))["region"]
         cells = {row.get("channel", ""): row for row in here if row["region"] == far}
-        yield f"relative illumination, {place}", [("", *cells), (_at(far), *(_quantity(row, sign) for row in cells.values()))]
+        words = "at " + field.words(str(far).rpartition("r ")[2])
+        yield f"relative illumination, {place}", [("", *cells), (words, *(_quantity(row, sign) for row in cells.values()))]
 
 
 def _radius_mm(row: Row) -> float:
-    return float(_at(str(row["region"])).split()[1])
+    return float(str(row["region"]).rpartition("r ")[2].split()[0])
 
 
-def _at(region: str) -> str:
-    return "at " + region.rpartition("r ")[2]
-
-
-def _sharpness(rows: Sequence[Row], sign: str, files: Files) -> Iterable[tuple[str, Table]]:
+def _sharpness(rows: Sequence[Row], sign: str, field: _Field) -> Iterable[tuple[str, Table]]:
     """MTF50 of the edges: by place in the field and at the extremes, by channel."""
     own = [row for row in rows if row["name"] == "mtf50" and row["value"] is not None]
     channels = list(dict.fromkeys(row.get("channel", "") for row in own))
@@ -156,32 +159,53 @@ def _sharpness(rows: Sequence[Row], sign: str, files: Files) -> Iterable[tuple[s
     for channel in wanted:
         edges = [row for row in own if row.get("channel", "") == channel]
         table: Table = [("edges", "MTF50", "where")]
-        places = [_place(row, files) for row in edges]
+        places = [field.place(row) for row in edges]
+        several = len({row.get("file", "") for row in edges}) > 1
         radius = [r for r, _ in places]
-        if max(radius, default=0.0) > min(radius, default=0.0):
-            for words, share in PLACES:
-                i = min(range(len(edges)), key=lambda i, share=share: abs(radius[i] - share * max(radius)))  # type: ignore[misc]
-                table.append((words, _quantity(edges[i], sign), f"{places[i][1]}, {_where(edges[i])}"))
+        told: set[int] = set()
+        for words, share in PLACES if max(radius, default=0.0) > min(radius, default=0.0) else ():
+            i = min(range(len(edges)), key=lambda i, share=share: abs(radius[i] - share * max(radius)))  # type: ignore[misc]
+            if i not in told:  # edges all about the middle have none part way
+                table.append((words, _quantity(edges[i], sign), f"{places[i][1]}, {_where(edges[i], several)}"))
+            told.add(i)
         if len(edges) > 1:
             for words, pick in (("sharpest", max), ("least sharp", min)):
                 row = pick(edges, key=lambda r: float(r["value"]))
-                table.append((words, _quantity(row, sign), _where(row)))
+                table.append((words, _quantity(row, sign), _where(row, several)))
         else:
-            table += [("one edge", _quantity(row, sign), _where(row)) for row in edges]
+            table += [("one edge", _quantity(row, sign), _where(row, several)) for row in edges]
         yield f"sharpness, channel {channel}, {len(edges)} edge{'s' if len(edges) > 1 else ''}", table
 
 
-def _place(row: Row, files: Files) -> tuple[float, str]:
-    """Distance from the middle of the field and how to say it: of the file's frame where that is known, else on the sensor."""
-    shape = files.get(str(row.get("file", "")), {}).get("shape")
-    corners = str(row.get("region", "")).split(",")
-    if shape and len(corners) == 4 and all(c.isdigit() for c in corners):
-        row0, row1, col0, col1 = map(int, corners)
-        share = math.hypot(row0 + row1 - shape[0], col0 + col1 - shape[1]) / math.hypot(*shape)
-        return share, f"{100 * share:.0f} % of the half diagonal"
-    radius_mm = math.hypot(row.get("field_x_mm") or 0.0, row.get("field_y_mm") or 0.0)
-    return radius_mm, f"{radius_mm:.2f} mm"
+def _where(row: Row, several: bool) -> str:
+    """The region or shot of an edge, and its file where there are several."""
+    place = str(row.get("region") or row.get("shot") or "")
+    return f"{PurePath(row['file']).name} {place}" if several and row.get("file") else place
 
 
-def _where(row: Row) -> str:
-    return str(row.get("region") or row.get("shot") or "")
+@dataclass(frozen=True)
+class _Field:
+    """How far from the middle something lies, in words: of half the diagonal where that is known, else on the sensor."""
+
+    files: Files
+    half_diagonal_mm: float
+
+    def words(self, place: str) -> str:
+        """A distance ``n mm`` on the sensor; in pixels where no file states their pitch (which is then set to 1 um)."""
+        codes = [{w.get("code") for w in about.get("warnings", ())} for about in self.files.values()]
+        radius_mm = float(place.split()[0])
+        if codes and all("no_pixel_pitch" in own for own in codes):
+            return f"{1000 * radius_mm:.0f} px"
+        share = 100 * radius_mm / self.half_diagonal_mm if self.half_diagonal_mm else 0.0
+        return f"{place}, {share:.0f} % of the half diagonal" if share else place
+
+    def place(self, row: Row) -> tuple[float, str]:
+        """Distance of an edge and how to say it: of the file's frame where that is known."""
+        shape = self.files.get(str(row.get("file", "")), {}).get("shape")
+        corners = str(row.get("region", "")).split(",")
+        radius_mm = math.hypot(row.get("field_x_mm") or 0.0, row.get("field_y_mm") or 0.0)
+        share = radius_mm / self.half_diagonal_mm if self.half_diagonal_mm else None
+        if shape and len(corners) == 4 and all(c.isdigit() for c in corners):
+            row0, row1, col0, col1 = map(int, corners)
+            share = math.hypot(row0 + row1 - shape[0], col0 + col1 - shape[1]) / math.hypot(*shape)
+        return (radius_mm, f"{radius_mm:.2f} mm") if share is None else (share, f"{100 * share:.0f} % of the half diagonal")

@@ -99,6 +99,11 @@ def relative_words(row: Mapping[str, Any]) -> str:
     return "" if relative is None or relative > 0.6 else f"{100 * relative:.2f} %"
 
 
+def chance_words(p: float) -> str:
+    """A probability by chance to two digits; one that is too small for a number of the machine as below the smallest."""
+    return f"{p:.2g}" if p > 0 else "< 1e-300"
+
+
 def probability_words(chance: float, digits: int = 2) -> str:
     """A probability to some digits; what would be rounded to 1 is told as above the last that is not."""
     most = 1 - 0.5 * 10**-digits

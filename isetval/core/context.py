@@ -215,7 +215,7 @@ def _inverse_poisson(chance: Float, mean: Float) -> Float:
         short = chance > reached
         out[left] += short
         if k % TERMS_AT_ONCE == 0 or not short.any():
-            left, chance, mean, term, reached = (part[short] for part in (left, chance, mean, term, reached))
+            left, chance, mean, term, reached = left[short], chance[short], mean[short], term[short], reached[short]
             if not left.size:
                 break
         term *= mean / k

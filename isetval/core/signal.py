@@ -141,10 +141,8 @@ class Signal:
 
     def mixed(self, weights: Float) -> Float:
         """Sums over the bands with ``weights`` (channels, bands): (channels, rows, cols), or what broadcasts to it."""
-        transfer, total = self._transfer(), 0.0
-        for layer in self.layers:
-            total = total + layer.mixed(weights, transfer, self.wavelength_nm)
-        return np.asarray(total)
+        transfer = self._transfer()
+        return np.asarray(sum(layer.mixed(weights, transfer, self.wavelength_nm) for layer in self.layers))
 
     def _transfer(self) -> Transfer | None:
         return _product(self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers))

@@ -101,7 +101,8 @@ def light_priors(
             out.append(DraftPrior("spectrum_bow", LAMP, "relative per (100 nm)^2", "campaign", words, (), (light.name,)))
     for light in (light for light in lights if not light.narrow):
         width = 0.2 if light.column == "E" else 0.05
-        words = f"CHECK: {light.name} is taken for {light.column}; .02 once its spectrum is measured"
+        taken = "equal energy" if light.column == "E" else f"published {light.column}"
+        words = f"CHECK: {light.name} is taken for {taken}; .02 once its spectrum is measured"
         out.append(DraftPrior("spectrum_tilt", width, "relative per 100 nm", "measurement session", words, (), (light.name,)))
         words = "and its bend, on the same grounds"
         bow = BOW_SHARE * width

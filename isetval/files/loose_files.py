@@ -60,8 +60,15 @@ class FileMeasurement:
     campaign: Campaign | None = None
 
 
-def raw_files(paths: Iterable[Path]) -> list[Path]:
+def levels_are_said(raw: Mapping[str, Any] | None) -> bool:
+    """Whether a command says what sidecars of pictures say (a shape is said of headerless raw)."""
+    return raw is not None and "shape" not in raw
+
+
+def raw_files(paths: Iterable[Path], *, said: bool = False) -> list[Path]:
     """The files to measure among files and folders, folders searched at all levels, in order of name.
+
+    ``said``: levels of pictures (TIFF, PNG, NPY) are said with the command, so that they need no sidecar.
 
     Raises
     ------
@@ -71,7 +78,7 @@ def raw_files(paths: Iterable[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = files_below(path)
+            inside = files_below(path, said=said)
             if not inside:
                 raise InputError(nothing_in(path))
             found += inside
@@ -92,14 +99,16 @@ def nothing_in(folder: Path) -> str:
     return (
         f"{folder}: its {len(lacking)} pictures ({lacking[0].relative_to(folder)} ...) say neither levels nor pattern; write "
         f'cfa = "RGGB" (or "MONO"), black_dn = 0, bits = 8 (or white_dn) and pixel_um into {folder / "images.toml"}: '
-        "docs/formats.md shows one that also reads exposure times from file names"
+        "docs/formats.md shows one that also reads exposure times from file names "
+        "(or say them: isetval measure --cfa RGGB --bits 8 --black-dn 0)"
     )
 
 
-def files_below(folder: Path) -> list[Path]:
+def files_below(folder: Path, *, said: bool = False) -> list[Path]:
     """The raw files of a folder and of all folders in it, by name; hidden files and folders are left alone.
 
-    TIFF, PNG and NumPy files are raw data only where a sidecar states their levels: others are anybody's pictures.
+    TIFF, PNG and NumPy files are raw data only where a sidecar states their levels (or somebody ``said`` them): others are
+    anybody's pictures.
     """
     from isetval.files.capture_file import CAPTURE_SUFFIXES
     from isetval.files.image_file import SUFFIXES
@@ -107,7 +116,9 @@ def files_below(folder: Path) -> list[Path]:
 
     def usable(path: Path) -> bool:
         suffix = path.suffix.lower()
-        return suffix in CAPTURE_SUFFIXES and path.is_file() and (suffix not in SUFFIXES or find_sidecar(path) is not None)
+        return (
+            suffix in CAPTURE_SUFFIXES and path.is_file() and (suffix not in SUFFIXES or said or find_sidecar(path) is not None)
+        )
 
     hidden = (".", "__MACOSX")
     return sorted(
@@ -155,7 +166,7 @@ def try_files(paths: Sequence[Path], *, read: Reader, asked: Asked, progress: Pr
     measure = _series if asked.role in SERIES_ROLES else _one_by_one
     result = measure(paths, captures, asked, progress)
     if result.files and asked.role is not None and not any(m.family != "plane" for _, m in result.metrics):
-        reasons = "; ".join(result.notes[:3]) or "no reason was given"
+        reasons = "; ".join([note for note in result.notes if ": capture quality" not in note][:3]) or "no reason was given"
         return replace(result, empty=f"role {asked.role} gave no number: {reasons}")
     return result
 
@@ -242,26 +253,30 @@ def _placed(row: Metric, shots: Sequence[Shot]) -> Metric:
     return row if row.region or roi is None else replace(row, region=",".join(map(str, roi)))
 
 
-def quality_note(capture: Capture) -> str:
-    """Verdict on the capture with its reasons, before any number."""
+def quality_note(capture: Capture, *, cut: bool = False) -> str:
+    """Verdict on the capture with its reasons, before any number; the border of a window that was ``cut`` out is the scene's."""
     from isetval.measure import quality
 
     try:
         found = quality(capture)
     except InputError as error:
         return f"capture quality not judged: {error}"
-    return f"capture quality: {found.verdict}" + (f" ({', '.join(found.reasons)})" if found.reasons else "")
+    reasons = [reason for reason in found.reasons if not (cut and reason == "bad_border")]
+    verdict = found.verdict if reasons else "good"
+    return f"capture quality: {verdict}" + (f" ({', '.join(reasons)})" if reasons else "")
 
 
 def _series(paths: Sequence[Path], captures: FileCaptures, asked: Asked, progress: Progress | None) -> FileMeasurement:
     """Darks or flats: one campaign, in which each folder, sensor and ISO is a measurement session."""
     files: dict[str, Mapping[str, Any]] = {}
     facts: list[FileFacts] = []
+    verdicts: list[str] = []
     for i, path in enumerate(paths):
         capture = captures.look_ahead("", str(path))
         if capture is not None:
             try:
                 files[str(path)] = _described(capture, briefly=len(paths) > DESCRIBED)
+                verdicts += [f"{path.name}: {quality_note(capture)}"] if len(paths) <= DESCRIBED else []
                 facts.append(facts_of(str(path), str(path.parent), capture))
             except Exception as error:  # one odd file must not lose the others
                 captures.refuse(str(path), error)
@@ -276,10 +291,10 @@ def _series(paths: Sequence[Path], captures: FileCaptures, asked: Asked, progres
     try:
         table = measure_campaign(campaign, patches=asked.patches)
     except InputError as error:
-        return replace(nothing, skipped=tuple(captures.skipped), notes=(str(error),))
+        return replace(nothing, skipped=tuple(captures.skipped), notes=(*verdicts, str(error)))
     lone = {shot.name: shot.files[0] for shot in shots if len(shot.files) == 1}
     metrics = tuple((lone.get(m.shot, ""), m) for m in _rows(table))
-    notes = tuple(note for note in table.notes if not note.startswith("file "))
+    notes = (*verdicts, *(note for note in table.notes if not note.startswith("file ")))
     return replace(nothing, metrics=metrics, skipped=tuple(captures.skipped), notes=notes, campaign=campaign)
 
 

@@ -49,7 +49,8 @@ def on_lowest_step(problem: Problem, fitted: Fit, key: str, code: float) -> Fit:
     values, chi2 = np.array(sorted(seen)), np.array([seen[v] for v in sorted(seen)])
     weight = np.exp(-(chi2 - chi2.min()) / 2) * np.gradient(values)
     spread = float(np.sqrt(weight @ (values - middle) ** 2 / weight.sum() + np.diff(values).min() ** 2 / 12))
-    moved = fit(problem, at(fitted.point, fitted.free, _others_at(problem, fitted, place, middle)), fitted.free, iterations=0)
+    others = _others_at(problem, fitted, place, middle).tolist()
+    moved = fit(problem, at(fitted.point, fitted.free, others), fitted.free, iterations=0)
     best = moved if moved.chi2 < fitted.chi2 + SAME_STEP else fitted
     stretch = np.ones(len(fitted.free))
     stretch[place] = max(1.0, spread / float(np.sqrt(best.covariance[place, place])))

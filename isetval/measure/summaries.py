@@ -137,7 +137,7 @@ class Chain(Sequence[Capture]):
 
 
 def _falloff_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[Metric]:
-    """Relative illumination at whole mm of each set-up that holds flats at several places of the field."""
+    """Relative illumination at whole mm (small fields: tenths) of each set-up that holds flats at several places of the field."""
     rows = []
     flats = [s for s in shots if s.role == "flat" and s.name in frames]
     for setup in dict.fromkeys(s.setup for s in flats):
@@ -146,7 +146,9 @@ def _falloff_rows(frames: Frames, shots: Sequence[Shot], session: str) -> list[M
             continue
         result = relative_illumination([capture for s in own for capture in frames[s.name]])
         for plane in planes_of(frames[own[0].name][0]):
-            radius = np.arange(1.0, float(result[plane].radius_mm[-1]) + 1e-9)
+            far = float(result[plane].radius_mm[-1])
+            step = 10.0 ** min(0.0, math.floor(math.log10(far)))  # fields of less than 1 mm: at tenths (or hundredths) of it
+            radius = step * np.arange(1, int(far / step + 1e-9) + 1)
             for r, value, sigma in zip(radius, *result[plane].at(radius), strict=True):
                 where = f"session {session}, set-up {setup}, r {r:g} mm"
                 rows.append(

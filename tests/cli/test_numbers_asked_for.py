@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import isetval
+from isetval.app.cli.file_words import folder_lines
 from isetval.app.headline import headline_tables
 from isetval.app.remarks import gathered, quality_first
 from isetval.core.toml import data_folder
@@ -41,6 +42,61 @@ def test_full_well_dynamic_range_and_signal_to_noise(run, run_json, tmp_path, lo
     assert ("no_saturated_level" in rows["full_well_e"].get("reason", "")) != saturates
     _, out, _ = run("measure", folder, "--role", "flat")
     assert ("at least" in out.partition("family")[0]) != saturates
+
+
+def test_a_folder_is_described_once_before_its_numbers(run, tmp_path):
+    folder = _series(tmp_path / "series", (0.001, 0.01, 0.1))
+    for words in (("measure", folder, "--role", "flat"), ("measure", folder)):
+        code, out, err = run(*words)
+        assert code == 0, err
+        lines = out.splitlines()
+        assert lines[0] == "6 files: 64 x 64 px, RGGB, 10 bit, white 1023 DN, 0.001 to 0.1 s, ISO 100"
+        assert lines[1].startswith("  capture quality of 6 files: ")
+        assert out.count("capture quality") == 1
+        assert str(folder) not in out
+    warned = {
+        "shape": (2, 2),
+        "cfa": "RGGB",
+        "bits": 10,
+        "white_dn": 1023,
+        "exposure": {},
+        "warnings": [{"code": "x", "message": "m"}],
+    }
+    assert folder_lines({f"{i}.dng": warned for i in range(9)}, ()) == [
+        "# 9 files: 2 x 2 px, RGGB, 10 bit, white 1023 DN",
+        "  warning: m",
+    ]
+
+
+def test_a_campaign_says_first_how_good_its_captures_are(run, run_json, nominal, tmp_path):
+    plan = isetval.load_campaign(data_folder() / "demo" / "plan.toml").only(("A_flat4", "A_edge_center_v_z0"))
+    from isetval.files.campaign_writer import write_campaign
+
+    write_campaign(isetval.simulate(nominal, plan, seed=2), tmp_path / "lab", model=nominal)
+    code, out, err = run("measure", tmp_path / "lab")
+    assert code == 0, err
+    # an edge that runs through the border of its window is no bad border
+    assert [line.partition(": ")[2] for line in out.splitlines()[:2]] == ["capture quality: good"] * 2
+    _, result, _ = run_json("measure", tmp_path / "lab")
+    assert sum("capture quality" in note for note in result["notes"]) == 2
+
+
+def test_a_folder_of_pictures_whose_levels_are_said_with_the_command(run_json, tmp_path):
+    import tifffile
+
+    values = np.random.default_rng(3).integers(90, 110, (2, 32, 32)).astype(np.uint16)
+    for i, frame in enumerate(values):
+        tifffile.imwrite(tmp_path / f"{i}.tif", frame)
+    said = ("--cfa", "MONO", "--bits", "12", "--black-dn", "64")
+    code, result, err = run_json("measure", tmp_path, *said)
+    assert code == 0, err
+    means = [row["value"] for row in result["metrics"] if row["name"] == "plane_mean"]
+    assert means == pytest.approx(values.mean(axis=(1, 2)) - 64)
+    code, result, err = run_json("measure", tmp_path, *said, "--dry-run")
+    assert code == 0, err
+    code, batch, err = run_json("measure", tmp_path, *said, "--jobs", 1, "--store", tmp_path / "store")
+    assert code == 0, err
+    assert len(batch["files"]) == 2
 
 
 def test_the_dark_current_is_told_in_electrons_where_the_gain_is_known():

@@ -6,6 +6,7 @@ import numpy as np
 
 from isetval import load_campaign, load_model, measure_campaign, simulate
 from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.captures import MemoryCaptures
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.toml import data_folder
@@ -29,6 +30,24 @@ def test_gain_and_read_noise_of_a_simulated_session_lie_within_their_error_bars(
         assert {m.channel for m in found} == {"R", "Gr", "Gb", "B"}
         for m in found:
             assert abs(m.value - value) < 4 * m.sigma, (name, m.channel, m.value, m.sigma)
+
+
+def test_the_fall_off_of_a_sensor_of_less_than_a_millimetre_is_told_at_its_tenths():
+    """The demo's windows on a sensor of a tenth of the pixel pitch behind a tenth of the focal length: the same angles."""
+    model = load_model(data_folder() / "pixel4a" / "camera.toml")
+    plan = load_campaign(data_folder() / "demo" / "plan.toml").session("A")
+    captures = simulate(model, plan.only(s.name for s in plan.shots if s.role == "flat"), seed=11)
+    frames = {
+        shot.name: [replace(c, sensor=replace(c.sensor, pixel_um=0.14)) for c in captures.captures.read(shot.name)]
+        for shot in captures.shots
+    }
+    small = replace(captures, captures=MemoryCaptures(frames), sensor=replace(captures.sensor, pixel_um=0.14))
+    rows = [m for m in measure_campaign(small).metrics if m.summary and m.name == "relative_illumination"]
+    radii = sorted({float(m.region.split(" r ")[1].split()[0]) for m in rows})
+    assert radii == [0.1, 0.2, 0.3]
+    for m in rows:
+        closed_form = np.cos(np.arctan(float(m.region.split(" r ")[1].split()[0]) / 0.438)) ** 4
+        assert abs(m.value - closed_form) < 4 * m.sigma, m
 
 
 def test_summaries_can_be_left_out():

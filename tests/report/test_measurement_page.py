@@ -144,6 +144,24 @@ def test_of_many_full_frames_the_one_that_tells_the_fall_off_best_is_quoted():
     assert table == [("", "G"), ("at 3.0 mm", "0.500 +- 0.010")]
 
 
+def test_places_are_said_once_and_with_the_file_and_the_unit_that_are_known():
+    about_the_middle = [_mtf50(0.3, 0.10, "a"), _mtf50(0.2, 0.11, "b")]
+    ((_, table),) = headline_tables(about_the_middle, half_diagonal_mm=1.0)
+    # .7 of .11 mm is nearest to the first: no edge lies part way
+    assert [line[0] for line in table[1:]] == ["nearest the center", "farthest out", "sharpest", "least sharp"]
+    assert [line[2] for line in table[1:3]] == ["10 % of the half diagonal, a", "11 % of the half diagonal, b"]
+    files = [row | {"file": f"x/{row['shot']}.dng", "region": "1,2,3,4"} for row in about_the_middle]
+    ((_, named),) = headline_tables(files)
+    assert named[-1][2] == "b.dng 1,2,3,4"
+    fall = {"name": "relative_illumination", "value": 0.5, "sigma": 0.01, "unit": "1", "channel": "G", "region": "r 0.901 mm"}
+    unknown, known = {"warnings": [{"code": "no_pixel_pitch"}]}, {"warnings": []}
+    for about, words in ((unknown, "at 901 px"), (known, "at 0.901 mm")):
+        ((_, table),) = headline_tables([fall], files={"a.dng": about})
+        assert table[1][0] == words
+    ((_, table),) = headline_tables([fall], half_diagonal_mm=1.0)
+    assert table[1][0] == "at 0.901 mm, 90 % of the half diagonal"
+
+
 def test_edges_of_a_file_lie_where_their_regions_are():
     regions = {"0,20,0,20": 0.3, "40,60,40,60": 0.2, "10,30,40,60": 0.25}
     rows = [_mtf50(value, 0.0, "s") | {"region": region, "file": "a.dng"} for region, value in regions.items()]

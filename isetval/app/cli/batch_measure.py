@@ -52,12 +52,12 @@ def measure_batch(args: argparse.Namespace, console: Console, raw: Mapping[str, 
     """Measure files as units of work; the result has the form of every other measurement."""
     from isetval.app.batch.run import run_batch
     from isetval.app.batch.units import Settings, part_of, units_of
-    from isetval.files.loose_files import Asked, raw_files
+    from isetval.files.loose_files import Asked, levels_are_said, raw_files
 
     _refuse_pages(args)
     _refuse_campaigns(args)
     settings = Settings(Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e), args.black or "auto", raw)
-    units = part_of(units_of(raw_files(args.paths), args.role), args.shard)
+    units = part_of(units_of(raw_files(args.paths, said=levels_are_said(raw)), args.role), args.shard)
     fresh = getattr(args, "fresh", False)  # of rerun: no store may answer for it
     store = None if fresh else args.store or _own_store()
     engine = engine_of(args)

@@ -53,12 +53,12 @@ def _campaign_lines(campaign: Campaign) -> list[str]:
 
 def _path_lines(args: argparse.Namespace) -> list[str]:
     import isetval
-    from isetval.app.cli.measure_command import is_campaign
-    from isetval.files.loose_files import raw_files
+    from isetval.app.cli.measure_command import is_campaign, raw_settings
+    from isetval.files.loose_files import levels_are_said, raw_files
 
     if len(args.paths) == 1 and args.role is None and is_campaign(args.paths[0]):
         return _campaign_lines(isetval.load_campaign(args.paths[0]))
-    paths = raw_files(args.paths)
+    paths = raw_files(args.paths, said=levels_are_said(raw_settings(args)))
     if args.shard:
         part, parts = args.shard
         paths = paths[part - 1 :: parts]

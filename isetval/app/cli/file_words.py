@@ -9,6 +9,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.cli.tables import text_table
+from isetval.app.remarks import warnings_of
 from isetval.app.words import with_sigma
 
 if TYPE_CHECKING:
@@ -19,25 +20,43 @@ MAX_REJECTED = 8  # edges of one file that are named one by one
 REJECTED = re.compile(r"(?P<file>.*?)edge rejected at [\d,]+: (?P<reason>[^:;,(]+)")
 
 
-def file_lines(file: str, about: Mapping[str, Any], *, brief: bool) -> list[str]:
+def file_lines(file: str, about: Mapping[str, Any]) -> list[str]:
     """One file: geometry, exposure, black level, doubts."""
     if "shape" not in about:
         return []
     rows, cols = about["shape"]
-    exposure = about["exposure"]
-    words = [f"{rows} x {cols} px", str(about["cfa"]), f"{about['bits']} bit", f"white {about['white_dn']:g} DN"]
-    if exposure.get("time_s"):
-        words.append(f"{exposure['time_s']:.6g} s")
-    if exposure.get("iso"):
-        words.append(f"ISO {exposure['iso']:g}")
-    lines = [f"# {file}", "  " + ", ".join(words)]
-    if brief:
-        return lines + [f"  warning: {w['message']}" for w in about["warnings"][:3]]
+    lines = [f"# {file}", f"  {_sensor_words(about)}{_exposure_words([about])}"]
     lines.append(f"  black level: {_black_words(about)}")
     lines.append(f"  {_clipped_words(about)}")
     bad = about["bad_pixels"]
     lines.append(f"  bad pixels: {bad['hot']} hot, {bad['dead']} dead (of {rows * cols}; the rim is not judged)")
     return lines + [f"  warning: {w['message']}" for w in about["warnings"]]
+
+
+def folder_lines(files: Mapping[str, Mapping[str, Any]], quality: Sequence[str]) -> list[str]:
+    """Many files: each kind of them with its shortest and longest exposure, the verdicts, and what the readers warn of."""
+    kinds: dict[str, list[Mapping[str, Any]]] = {}
+    for about in files.values():
+        if "shape" in about:
+            kinds.setdefault(_sensor_words(about), []).append(about)
+    lines = [f"# {len(own)} files: {words}{_exposure_words(own)}" for words, own in kinds.items()]
+    return [*lines, *(f"  {verdict}" for verdict in quality), *(f"  warning: {warning}" for warning in warnings_of(files))]
+
+
+def _sensor_words(about: Mapping[str, Any]) -> str:
+    rows, cols = about["shape"]
+    return f"{rows} x {cols} px, {about['cfa']}, {about['bits']} bit, white {about['white_dn']:g} DN"
+
+
+def _exposure_words(files: Sequence[Mapping[str, Any]]) -> str:
+    def spread(name: str) -> list[float]:
+        return sorted({about["exposure"][name] for about in files if about["exposure"].get(name)})
+
+    def ends(values: Sequence[float]) -> str:
+        return " to ".join(f"{v:.6g}" for v in dict.fromkeys((values[0], values[-1])))
+
+    time_s, iso = spread("time_s"), spread("iso")
+    return (f", {ends(time_s)} s" if time_s else "") + (f", ISO {ends(iso)}" if iso else "")
 
 
 def _black_words(about: Mapping[str, Any]) -> str:
@@ -89,12 +108,14 @@ def metric_lines(metrics: Sequence[Metric], *, files: Sequence[str], brief: bool
     return lines
 
 
-def headline_lines(rows: Sequence[Mapping[str, Any]], files: Mapping[str, Mapping[str, Any]] | None = None) -> list[str]:
+def headline_lines(
+    rows: Sequence[Mapping[str, Any]], files: Mapping[str, Mapping[str, Any]] | None = None, half_diagonal_mm: float = 0.0
+) -> list[str]:
     """The numbers that people ask for first."""
     from isetval.app.headline import headline_tables
 
     lines: list[str] = []
-    for title, table in headline_tables(rows, files=files):
+    for title, table in headline_tables(rows, files=files, half_diagonal_mm=half_diagonal_mm):
         lines += [f"# {title}", *text_table(table[0], table[1:])]
     return lines
 

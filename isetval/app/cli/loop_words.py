@@ -8,7 +8,7 @@ from typing import Any
 from isetval.app.cli.tables import text_table
 from isetval.app.remarks import gathered
 from isetval.app.report.budget_parts import budget
-from isetval.app.words import effect_words, probability_words, relative_words, state_of, verdict_words, with_sigma
+from isetval.app.words import chance_words, effect_words, probability_words, relative_words, state_of, verdict_words, with_sigma
 
 FITTED = {
     "prediction": "nothing was fitted to these captures",
@@ -190,7 +190,7 @@ def _candidate_lines(candidates: Sequence[Mapping[str, Any]], count: int = 8) ->
     for c in sorted(seen, key=lambda c: (c["p_corrected"], -(c["dchi2"] or 0)))[:count]:
         estimate = ", ".join(f"{k} {with_sigma(p['value'], p['sigma'])}" for k, p in c["estimate"].items())
         posterior = "" if c["posterior"] is None else f"{c['posterior']:.3f}"
-        body.append((c["name"], estimate, f"{c['dchi2']:.1f}", f"{c['p_corrected']:.2g}", posterior))
+        body.append((c["name"], estimate, f"{c['dchi2']:.1f}", chance_words(c["p_corrected"]), posterior))
     header = ("candidate", "one-step estimate", "dchi2", "p (look-elsewhere)", "posterior")
     return ["", f"# suspects (of {len(seen)} observable candidates)", *text_table(header, body)]
 

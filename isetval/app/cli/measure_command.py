@@ -16,6 +16,7 @@ from isetval.app.cli.outcome import BAD_INPUT, FINE, OUTSIDE_LIMITS, PAGE_SUFFIX
 if TYPE_CHECKING:
     from isetval.app.measurement_sheets import Note
     from isetval.app.plots.sheets import Sheet
+    from isetval.core.campaign import Campaign
     from isetval.core.metric import Metric, MetricTable
     from isetval.files.loose_files import FileMeasurement
 
@@ -96,7 +97,7 @@ def measure(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.app.limits import load_limits
 
     limits = load_limits(args.limits) if args.limits else ()
-    raw = _raw_settings(args)
+    raw = raw_settings(args)
     if args.regions is not None:
         outcome = _drawn_regions(args, console)
     elif is_batch(args):
@@ -125,7 +126,13 @@ def _drawn_regions(args: argparse.Namespace, console: Console) -> Outcome:
     return measure_regions(args, console)
 
 
-def _with_pages(outcome: Outcome, args: argparse.Namespace, console: Console, draw: Callable[[Note], list[Sheet]]) -> Outcome:
+def _with_pages(
+    outcome: Outcome,
+    args: argparse.Namespace,
+    console: Console,
+    draw: Callable[[Note], list[Sheet]],
+    half_diagonal_mm: float = 0.0,
+) -> Outcome:
     """The outcome with its pictures, where a page or the curves are asked for."""
     pictured = args.output is not None and Path(args.output).suffix.lower() in PAGE_SUFFIXES
     if not (pictured or args.curves):
@@ -143,9 +150,8 @@ def _with_pages(outcome: Outcome, args: argparse.Namespace, console: Console, dr
 
         if suffix in (".pdf", ".png"):
             return measurement_picture(sheets, suffix[1:])
-        return measurement_html(whole, headline_tables(whole["metrics"], files=whole.get("files"), sign="±"), sheets).encode(
-            "utf-8", "backslashreplace"
-        )
+        tables = headline_tables(whole["metrics"], files=whole.get("files"), half_diagonal_mm=half_diagonal_mm, sign="±")
+        return measurement_html(whole, tables, sheets).encode("utf-8", "backslashreplace")
 
     return replace(outcome, result=result, lines=lines, page=page)
 
@@ -158,7 +164,7 @@ def is_campaign(path: Path) -> bool:
     return own or find_emva_descriptor(path) is not None
 
 
-def _raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:
+def raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:
     """What is said of headerless raw, or of pictures that no sidecar describes."""
     from isetval.core.errors import InputError
     from isetval.files.image_file import SUFFIXES
@@ -166,7 +172,7 @@ def _raw_settings(args: argparse.Namespace) -> Mapping[str, Any] | None:
     given = {"--raw-shape": args.raw_shape, "--cfa": args.cfa, "--bits": args.bits}
     if all(v is None for v in (*given.values(), args.black_dn)):
         return None
-    pictures = [path for path in args.paths if path.suffix.lower() in SUFFIXES]
+    pictures = [path for path in args.paths if path.is_dir() or path.suffix.lower() in SUFFIXES]
     if len(pictures) == len(args.paths) and args.raw_shape is None:
         said = {"cfa": args.cfa and args.cfa.upper(), "bits": args.bits, "black_dn": args.black_dn}
         return {key: value for key, value in said.items() if value is not None}
@@ -180,6 +186,7 @@ def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
     from isetval.app.cli.file_words import headline_lines
     from isetval.app.measurement_sheets import sheets_of_campaign
+    from isetval.app.remarks import quality_first
     from isetval.files.captures import input_hashes
 
     path = args.paths[0]
@@ -187,6 +194,7 @@ def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
     console.say(f"reading {path}")
     campaign = isetval.load_campaign(path)
     table = isetval.measure_campaign(campaign, progress=console.progress)
+    verdicts = _verdicts(campaign, console)
     skipped = campaign.captures.skipped
     rows = [metric_row(m, sigma) for m, sigma in zip(table.metrics, table.sigma, strict=True)]
     result = {
@@ -194,11 +202,26 @@ def _measure_campaign(args: argparse.Namespace, console: Console) -> Outcome:
         "campaign": campaign.name,
         "metrics": rows,
         "skipped": [{"file": file, "reason": reason} for file, reason in skipped],
-        "notes": list(table.notes),
+        "notes": [*verdicts, *table.notes],
         "settings": dict(table.settings) | {"choices": dict(table.choices)},
     }
-    outcome = Outcome(result, [*headline_lines(rows), *_campaign_lines(table)], FINE, input_hashes(campaign), rows)
-    return _with_pages(outcome, args, console, lambda note: sheets_of_campaign(campaign, note))
+    half_diagonal_mm = campaign.sensor.half_diagonal_mm if campaign.sensor else 0.0
+    lines = [*quality_first(verdicts)[0], *headline_lines(rows, half_diagonal_mm=half_diagonal_mm), *_campaign_lines(table)]
+    outcome = Outcome(result, lines, FINE, input_hashes(campaign), rows)
+    return _with_pages(outcome, args, console, lambda note: sheets_of_campaign(campaign, note), half_diagonal_mm)
+
+
+def _verdicts(campaign: Campaign, console: Console) -> list[str]:
+    """The quality of the first frame of every set-up, file by file."""
+    from isetval.files.loose_files import quality_note
+
+    first = {shot.files[0]: shot for shot in campaign.shots if shot.files and shot.name in campaign.captures}
+    out = []
+    for i, (file, shot) in enumerate(first.items(), 1):
+        frames = campaign.captures.read(shot.name)
+        out += [f"{Path(file).name}: {quality_note(frames[0], cut=shot.window is not None)}"] if len(frames) else []
+        console.progress("judging the quality of captures", i, len(first))
+    return out
 
 
 def _refuse_options(args: argparse.Namespace, path: Path) -> None:
@@ -246,9 +269,9 @@ def metric_row(m: Metric, sigma: float, *, file: str = "") -> dict[str, Any]:
 
 def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str, Any] | None) -> Outcome:
     from isetval.app.measurement_sheets import sheets_of_campaign, sheets_of_files
-    from isetval.files.loose_files import Asked, file_reader, measure_files, raw_files
+    from isetval.files.loose_files import Asked, file_reader, levels_are_said, measure_files, raw_files
 
-    paths = raw_files(args.paths)
+    paths = raw_files(args.paths, said=levels_are_said(raw))
     if args.shard:
         part, parts = args.shard
         paths = paths[part - 1 :: parts]
@@ -281,23 +304,16 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
 
 
 def _file_lines(found: FileMeasurement, rows: Sequence[Mapping[str, Any]], *, brief: bool) -> list[str]:
-    from isetval.app.cli.file_words import file_lines, headline_lines, metric_lines
+    from isetval.app.cli.file_words import file_lines, folder_lines, headline_lines, metric_lines
+    from isetval.app.remarks import quality_first
 
-    lines: list[str] = []
-    for file, about in found.files.items():
-        if brief and len(found.files) > 12:
-            break
-        head = file_lines(file, about, brief=brief)
-        quality = [f"  {note.partition(': ')[2]}" for note in found.notes if _of_quality(note, file) and not brief]
-        lines += [*head[:2], *quality, *head[2:]]
+    verdicts, others = quality_first(found.notes)
+    lines: list[str] = folder_lines(found.files, verdicts) if brief else []
+    for file, about in () if brief else found.files.items():
+        head = file_lines(file, about)
+        lines += [*head[:2], *(f"  {verdict.partition(': ')[2]}" for verdict in verdicts), *head[2:]]
     lines += headline_lines(rows, found.files)
     lines += metric_lines([m for _, m in found.metrics], files=[f for f, _ in found.metrics], brief=brief)
     if brief:
         lines.append(f"# measured {len(found.files)} of {len(found.files) + len(found.skipped)} files")
-    said = [note for note in found.notes if brief or not any(_of_quality(note, file) for file in found.files)]
-    return lines + _doubt_lines(found.skipped, said)
-
-
-def _of_quality(note: str, file: str) -> bool:
-    """Whether a remark is the verdict on a file's quality, which comes before its numbers."""
-    return note.startswith(f"{Path(file).name}: capture quality")
+    return lines + _doubt_lines(found.skipped, others)

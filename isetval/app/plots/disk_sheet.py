@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isetval.app.plots import edges
-from isetval.app.plots.panels import PLANE_COLORS, own_axes
+from isetval.app.plots.panels import PLANE_COLORS, legible, own_axes
 from isetval.app.plots.sheets import Sheet
 from isetval.app.words import with_sigma
 from isetval.core.capture import Capture
@@ -64,7 +64,8 @@ def plot_disks(capture: Capture, found: Sequence[Disk], ax: Axes | None = None) 
             continue
         row0, row1, col0, col1 = disk.roi
         axis.add_patch(Rectangle((col0, row0), col1 - col0, row1 - row0, fill=False, edgecolor="tab:red", linestyle="--"))
-        axis.text(col0, row0, " ".join(disk.flags).replace("_", " "), color="tab:red", fontsize=6, va="bottom", clip_on=True)
+        words = " ".join(disk.flags).replace("_", " ")
+        axis.text(col0, row0, words, color="tab:red", fontsize=6, va="bottom", clip_on=True, path_effects=legible())
     accepted = sum(disk.accepted for disk in found)
     axis.set_title(
         f"{found[0].channel if found else ''}: {accepted} used (green), {len(found) - accepted} refused (red)", fontsize="medium"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isetval.app.plots.panels import own_axes
+from isetval.app.plots.panels import legible, own_axes
 from isetval.core.capture import Capture
 from isetval.measure.edge.edge_finding import FoundEdges, working_image
 from isetval.measure.edge.field_and_focus import FocusCurve, LensProfile
@@ -98,7 +98,7 @@ def _box(axis: Axes, roi: Sequence[int], color: str, text: str) -> None:
     row0, row1, col0, col1 = roi
     axis.add_patch(Rectangle((col0 - 0.5, row0 - 0.5), col1 - col0, row1 - row0, fill=False, edgecolor=color, linewidth=1.0))
     if text:
-        axis.text(col0, row0 - 2, text, color=color, fontsize=6, va="bottom", clip_on=True)
+        axis.text(col0, row0 - 2, text, color=color, fontsize=6, va="bottom", clip_on=True, path_effects=legible())
 
 
 def sfr_figure(capture: Capture, result: SfrResult) -> Figure:

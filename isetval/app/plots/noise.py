@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isetval.app.plots.panels import PLANE_COLORS, own_axes
+from isetval.app.plots.panels import PLANE_COLORS, own_axes, plain_log
 from isetval.app.words import with_sigma
 from isetval.measure.noise.patch_noise import PatchTable
 from isetval.measure.noise.transfer_result import PhotonTransfer, PlaneTransfer
@@ -38,6 +38,7 @@ def plot_photon_transfer(result: PhotonTransfer, ax: Axes | None = None) -> Axes
     for plane, transfer in result.items():
         _curve(axis, transfer, PLANE_COLORS.get(plane, "black"))
     axis.set(xlabel="mean above black (DN)", ylabel="temporal variance (DN$^2$)", xscale="log", yscale="log")
+    plain_log(axis.xaxis, axis.yaxis)
     axis.legend(fontsize="small")
     return axis
 
@@ -48,6 +49,7 @@ def plot_transfer_residuals(result: PhotonTransfer, ax: Axes | None = None) -> A
     for plane, transfer in result.items():
         _residual(axis, transfer, PLANE_COLORS.get(plane, "black"))
     axis.set(xlabel="mean above black (DN)", ylabel="(variance - fit) / sigma", xscale="log")
+    plain_log(axis.xaxis)
     axis.axhspan(-2, 2, color="0.9")
     return axis
 
@@ -61,9 +63,9 @@ def plot_fixed_pattern(result: PhotonTransfer, ax: Axes | None = None) -> Axes:
     marks = np.vstack([np.ones((1, 2)), *(np.asarray(line.get_xydata()) for line in axis.lines)])[1:]
     if marks.size and marks.min() > 0 and np.all(marks.max(axis=0) > LOG_SPAN * marks.min(axis=0)):
         axis.set(xscale="log", yscale="log")
-        for scale in (axis.xaxis, axis.yaxis):  # decades are few: plain numbers
-            scale.set_major_formatter("{x:g}")
-            scale.set_minor_formatter("")
+        plain_log(axis.xaxis, axis.yaxis)
+    elif len(marks) and np.all(np.ptp(marks, axis=0) == 0):  # one level: from nothing to twice of it
+        axis.set(xlim=(0, 2 * marks[0, 0]), ylim=(0, 2 * marks[0, 1]))
     return axis
 
 

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.patheffects import AbstractPathEffect
 
 PLANE_COLORS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "G": "tab:green", "B": "tab:blue", "MONO": "tab:gray"}
+TWO_DECADES = 100.0
 DPI = 130  # of pictures inside figures: a screen at 1280 px shows no more
 
 
@@ -21,6 +24,30 @@ def own_axes(ax: Axes | None, size: tuple[float, float] = (5.5, 4.0)) -> Axes:
     from matplotlib.figure import Figure
 
     return Figure(figsize=size, layout="constrained").subplots()
+
+
+def legible() -> list[AbstractPathEffect]:
+    """Path effects of letters on a picture: a white rim, so that they stand out of dark and of grey."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=1.6, foreground="white")]
+
+
+def plain_log(*scales: Axis) -> None:
+    """Logarithmic axes in plain numbers: powers of ten, and 2 and 5 between them where less than two decades are shown.
+
+    An axis of one value, which has no scale, is opened to a factor of two on both sides.
+    """
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    for scale in scales:
+        low, high = scale.get_view_interval()
+        if high < 1.01 * low:
+            low, high = low / 2, high * 2
+            (scale.axes.set_xlim if scale.axis_name == "x" else scale.axes.set_ylim)(low, high)
+        scale.set_major_locator(LogLocator(subs=(1, 2, 5) if high < TWO_DECADES * low else (1,)))
+        scale.set_major_formatter(StrMethodFormatter("{x:g}"))
+        scale.set_minor_formatter(NullFormatter())
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def falloff_figure(result: Any, *, predictions: Mapping[str, tuple[Any, Any]] | None = None) -> Figure:
-    """Four panels of a ``RelativeIllumination``: curves, difference to predictions, colour shading, residual map.
+    """Panels of a ``RelativeIllumination``: curves, difference to predictions, colour shading (of colour sensors), residual map.
 
     Parameters
     ----------
@@ -24,12 +24,14 @@ def falloff_figure(result: Any, *, predictions: Mapping[str, tuple[Any, Any]] | 
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 7), layout="constrained")
-    axes = figure.subplots(2, 2)
-    plot_relative_illumination(result, axes[0, 0], predictions=predictions)
-    _differences(axes[0, 1], result, predictions or {})
-    _ratios(axes[1, 0], result)
-    plot_illumination_residuals(result, axes[1, 1])
+    colored = bool(result.color_shading)
+    figure = Figure(figsize=(10, 7) if colored else (13, 4), layout="constrained")
+    axes = list(figure.subplots(2, 2).flat if colored else figure.subplots(1, 3))
+    plot_relative_illumination(result, axes.pop(0), predictions=predictions)
+    _differences(axes.pop(0), result, predictions or {})
+    if colored:
+        _ratios(axes.pop(0), result)
+    plot_illumination_residuals(result, axes.pop(0))
     row, col = result.center_px
     figure.suptitle(
         f"centre (row, col) {row:.1f}, {col:.1f} px; {result.basis} of order {result.order}; chi2/dof {result.chi2_dof:.3f}"

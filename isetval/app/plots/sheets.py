@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isetval.app.plots import color, dark_series, edges, noise, shading
+from isetval.app.plots.panels import legible
 from isetval.app.words import with_sigma
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
@@ -149,7 +150,8 @@ def _draw_boxes(capture: Capture, boxes: Sequence[RoiLike], axis: Axes) -> None:
     edges.plot_frame(capture, axis)
     for number, (row0, row1, col0, col1) in enumerate(boxes, 1):
         axis.add_patch(Rectangle((col0 - 0.5, row0 - 0.5), col1 - col0, row1 - row0, fill=False, edgecolor="tab:green"))
-        axis.text((col0 + col1) / 2, (row0 + row1) / 2, str(number), color="tab:green", fontsize=8, ha="center", va="center")
+        place = (col0 + col1) / 2, (row0 + row1) / 2
+        axis.text(*place, str(number), color="tab:green", fontsize=8, ha="center", va="center", path_effects=legible())
     low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
     margin = 0.15 * max(high[1] - low[0], high[3] - low[2])
     axis.set(xlim=(low[2] - margin, high[3] + margin), ylim=(high[1] + margin, low[0] - margin))

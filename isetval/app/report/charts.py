@@ -15,30 +15,35 @@ FAR_Z = 4.0
 LETTER_PX = 6.0  # width of a letter of 11 px in the fonts of browsers, generously
 
 
-def ladder_bars(families: Sequence[str], columns: Sequence[Mapping[str, Row]], *, limit: int = 9) -> str:
-    """Mean-square z of the worst families on a logarithmic axis: a hollow mark before, a filled one after."""
+def ladder_bars(families: Sequence[str], columns: Sequence[Mapping[str, Row]], *, limit: int = 9, narrow: bool = False) -> str:
+    """Mean-square z of the worst families on a logarithmic axis: a hollow mark before, a filled one after.
+
+    ``narrow`` is for telephones: names above the lines and not beside them, so that letters keep their size.
+    """
     worst = sorted(families, key=lambda f: -max(c[f]["mean_square_z"] or 0 for c in columns if f in c))[:limit]
     values = [c[f]["mean_square_z"] for c in columns for f in worst if f in c and c[f]["mean_square_z"]]
     if not values:
         return ""
-    height = 30 + 19 * len(worst)
-    left = max(168, LETTER_PX * max(map(len, worst)) + 14)
-    x = svg.Scale(min(0.5, *values), max(3.0, *values) * 1.15, left, 452, log=True)
+    step, width = (34, 270) if narrow else (19, 470)
+    height = 30 + step * len(worst)
+    left = 8 if narrow else max(168, LETTER_PX * max(map(len, worst)) + 14)
+    x = svg.Scale(min(0.5, *values), max(3.0, *values) * 1.15, left, width - 18, log=True)
     parts = [svg.rect(x(0.85), 6, x(1.15) - x(0.85), height - 30, "band"), svg.line(x(1), 6, x(1), height - 24, "one")]
     parts += [
         svg.line(x(v), height - 24, x(v), height - 20, "tick") + svg.text(x(v), height - 9, svg.tick_words(v)) for v in x.ticks()
     ]
     for i, family in enumerate(worst):
-        y = 16 + 19 * i
+        y = (30 if narrow else 16) + step * i
         cells = [c[family] for c in columns if family in c]
         places = [x(cell["mean_square_z"]) for cell in cells]
-        parts.append(svg.text(left - 8, y + 4, family.replace("_", " "), anchor="end"))
+        name = family.replace("_", " ")
+        parts.append(svg.text(left, y - 12, name, anchor="start") if narrow else svg.text(left - 8, y + 4, name, anchor="end"))
         parts.append(svg.line(places[0], y, places[-1], y, "fall"))
         for j, (cell, at) in enumerate(zip(cells, places, strict=True)):
             kind = "before" if j < len(cells) - 1 else f"after {state_of(cell['mean_square_z'], cell['n'])}"
             words = f"{cell['model']}: {family} mean-square z {cell['mean_square_z']:.3f} (n {cell['n']})"
             parts.append(svg.circle(at, y, kind, words))
-    return svg.Frame(x, x, 470, height).svg("".join(parts), "Mean-square z of each family before and after")
+    return svg.Frame(x, x, width, height).svg("".join(parts), "Mean-square z of each family before and after")
 
 
 def axis_of(rows: Sequence[Row]) -> tuple[str, str, Callable[[Row], Any]]:

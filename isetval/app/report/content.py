@@ -52,6 +52,7 @@ def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "failing": failing(comparison, models, columns),
         "missing": missing(diagnosis, demo),
         "bars": charts.ladder_bars(families, columns) if columns else "",
+        "narrow_bars": charts.ladder_bars(families, columns, narrow=True) if columns else "",
         "models": models,
         "ladder": ladder_table(models, columns, families),
         "in_sample": in_sample(diagnosis),

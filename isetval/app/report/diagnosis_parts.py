@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from isetval.app.report.form_plot import form_plot
-from isetval.app.words import effect_words, probability_words, with_sigma
+from isetval.app.words import chance_words, effect_words, probability_words, with_sigma
 
 
 def missing(diagnosis: Mapping[str, Any] | None, demo: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -64,11 +64,12 @@ def _suspects(diagnosis: Mapping[str, Any], count: int = 6) -> list[dict[str, An
 
 
 def candidates(diagnosis: Mapping[str, Any] | None) -> list[dict[str, str]]:
-    """Every observable candidate, the least probable by chance first."""
+    """Every observable candidate, the least probable by chance first; then those that explain most."""
     if not diagnosis:
         return []
     out = []
-    for c in sorted((c for c in diagnosis["candidates"] if c["observable"]), key=lambda c: c["p_corrected"])[:20]:
+    seen = [c for c in diagnosis["candidates"] if c["observable"]]
+    for c in sorted(seen, key=lambda c: (c["p_corrected"], -(c["dchi2"] or 0)))[:20]:
         estimate = ", ".join(f"{k} {with_sigma(p['value'], p['sigma'], sign='±')}" for k, p in c["estimate"].items())
         posterior = "" if c["posterior"] is None else f"{c['posterior']:.3f}"
         out.append(
@@ -76,7 +77,7 @@ def candidates(diagnosis: Mapping[str, Any] | None) -> list[dict[str, str]]:
                 "name": c["name"],
                 "estimate": estimate,
                 "dchi2": f"{c['dchi2']:.1f}",
-                "p": f"{c['p_corrected']:.2g}",
+                "p": chance_words(c["p_corrected"]),
                 "posterior": posterior,
             }
         )

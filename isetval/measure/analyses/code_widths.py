@@ -25,7 +25,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     conditions = shot_conditions(shot, captures[0].sensor)
     rows = []
     for plane in planes_of(captures[0]):
-        counts = sum(np.bincount(plane_view(c, plane)[0].ravel(), minlength=65536) for c in captures)
+        counts = np.sum([np.bincount(plane_view(c, plane)[0].ravel(), minlength=65536) for c in captures], axis=0)
         white = int(captures[0].sensor.white_dn)
         found = None if counts[0] or counts[white:].any() else code_widths(counts)
         if found is not None:

@@ -43,7 +43,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     found = _patch_rows(shot, captures, conditions, with_clipped=bool(choices.get("with_clipped")))
     for line in getattr(shot.target, "lines", ()):
         found += _line_rows(line, shot, captures, conditions)
-    if not found and getattr(shot.target, "disks", ()) and not reads(shot):
+    if not found and getattr(shot.target, "disks", None) and not reads(shot):
         return Block(())  # printed disks alone: `isetval.measure.disk_summary` measures them
     if not found:
         raise MeasurementError(_reason(shot))

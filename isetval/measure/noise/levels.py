@@ -157,13 +157,22 @@ def with_pattern(level: Level, setups: Setups, plane: str, roi: RoiLike | None, 
     """The level with its fixed pattern, measured now if it was not."""
     if level.fixed is not None:
         return level
-    views = [central(plane_view(c, plane, roi)[0]) for c in setups.frames(level.numbers)]
-    return replace(level, fixed=_pattern(frame_moments(views, black_dn), level.row_temporal))
+    whole = [plane_view(c, plane, roi)[0] for c in setups.frames(level.numbers)]
+    moments = frame_moments([central(view) for view in whole], black_dn)
+    return replace(level, fixed=_pattern(moments, level.row_temporal, level.mean_dn, whole[0].size))
 
 
-def _pattern(moments: Moments, row: Quantity) -> FixedPattern:
+def _pattern(moments: Moments, row: Quantity, mean_dn: float, pixels: int) -> FixedPattern:
+    """The pattern at the level's mean: of a very large plane its middle was looked at, which fall-off leaves brighter."""
     fixed = decompose(moments, surface_degree(moments.shape), relative=True, row_temporal=replace(row, value=max(row.value, 0.0)))
-    return replace(fixed, surface=np.empty((0, 0)))
+    fixed = replace(fixed, surface=np.empty((0, 0)))
+    middle_dn = float(moments.average.mean())
+    if moments.average.size == pixels or middle_dn <= 0:
+        return fixed
+    scale = (mean_dn / middle_dn) ** 2
+    parts = {name: getattr(fixed, name).scaled(scale, "DN^2") for name in ("total", "row", "column", "pixel")}
+    down, across = (q.scaled(scale, "DN^2") for q in fixed.neighbours)
+    return replace(fixed, **parts, neighbours=(down, across))
 
 
 def _defects(moments: Moments, known: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
@@ -217,7 +226,7 @@ def _level(
         frame_scatter=frame,
         clipped_high=sums.clipped_high,
         clipped_low=sums.clipped_low,
-        fixed=_pattern(moments, row) if moments is not None else None,
+        fixed=_pattern(moments, row, float(means.mean()), views[0].size) if moments is not None else None,
         white_dn=white,
         numbers=(),
     )
