@@ -48,7 +48,7 @@ def test_labels_of_an_axis_are_told_apart():
     axis = own_axes(None)
     axis.plot([552.425], [552.425], "o")
     axis.set(xscale="log", yscale="log")
-    plain_log(axis.xaxis, axis.yaxis)
+    plain_log(axis, "x", "y")
     _labels(axis)
     words = [tick.label1.get_text() for tick in axis.yaxis.get_major_ticks() if tick.label1.get_text()]
     assert len(words) == len(set(words)) > 1

@@ -10,6 +10,7 @@ from report_results import comparison_and_diagnosis
 from report_results import metric as _metric
 
 from isetval.app.report import report_html, write_report
+from isetval.app.report.charts import _field_rows
 from isetval.app.report.family_plots import family_plot
 from isetval.app.words import shortfall_words
 from isetval.core.errors import InputError
@@ -39,6 +40,15 @@ def test_the_first_screen_answers_the_four_questions(results):
     assert "How the error fell" in words
 
 
+def test_the_page_does_not_call_captures_held_out_that_something_was_fitted_to(results):
+    assert "captures that nothing was fitted to" in report_html(results)
+    fitted = json.loads(json.dumps(results).replace('"prediction"', '"calibration"'))
+    page = report_html(fitted)
+    assert "captures that nothing was fitted to" not in page
+    assert "Something was fitted to these captures." in page
+    assert "captures that something was fitted to" in page
+
+
 def test_what_fails_is_drawn_first_with_its_band_and_every_model(results):
     page = report_html(results)
     section = page.split("<h2>What fails, worst first</h2>")[1].split("<h2>")[0]
@@ -55,9 +65,10 @@ def test_what_fails_is_drawn_first_with_its_band_and_every_model(results):
         (lambda i: {"patch": f"patch {i // 4}"}, "patch"),
         (lambda i: {"exposure_s": 0.001 * 2 ** (i // 4), "field_x_mm": 0.0}, "exposure"),
         (lambda i: {"exposure_s": 0.01, "field_x_mm": 0.5 * (i // 4)}, "field radius, mm"),
+        (lambda i: {"region": f"level {1 + i // 4}", "field_x_mm": 0.5 * (i % 2), "shot": "chart"}, "level of brightness"),
         (lambda i: {"field_x_mm": None}, "shot"),
     ],
-    ids=["frequency", "patch", "exposure", "radius", "shot"],
+    ids=["frequency", "patch", "exposure", "radius", "level", "shot"],
 )
 def test_any_family_is_drawn_over_the_condition_that_varies(conditions, label):
     rows = [_metric("m", "odd_family", 2.0, i, **conditions(i)) for i in range(24)]
@@ -65,6 +76,27 @@ def test_any_family_is_drawn_over_the_condition_that_varies(conditions, label):
     assert label in plot.svg
     assert plot.hint == ""
     assert len(re.findall(r"<polyline", plot.svg)) + len(re.findall(r"<circle", plot.svg)) >= 4
+
+
+def test_noise_against_level_is_a_curve_of_each_chart():
+    rows = [
+        _metric(
+            "m", "chart_noise_by_level", 2.0, i, channel="R", region=f"level {1 + i // 2}", shot=f"chart_{i % 2}", field_x_mm=0.1
+        )
+        for i in range(16)
+    ]
+    assert len(re.findall(r"<polyline", family_plot("chart_noise_by_level", [rows]).svg)) == 2
+
+
+def test_flats_of_several_exposures_make_no_fall_off():
+    """Each exposure by itself: one that was seen in the middle alone says nothing of the field."""
+    places = [(0.0, t) for t in (0.01, 0.02, 0.04)] + [(0.5, 0.04), (1.0, 0.04)]
+    rows = [
+        {"family": "flat_mean", "setup": "s", "channel": "R", "role": "flat", "field_x_mm": x, "field_y_mm": 0.0, "exposure_s": t}
+        | {"measured": t * (1 - x / 2), "simulated": t * (1 - x / 2)}
+        for x, t in places
+    ]
+    assert sorted(_field_rows(rows)) == [("R", 0.0, 1.0, 1.0), ("R", 0.5, 0.75, 0.75), ("R", 1.0, 0.5, 0.5)]
 
 
 def test_of_many_curves_the_worst_are_drawn():

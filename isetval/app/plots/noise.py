@@ -38,7 +38,7 @@ def plot_photon_transfer(result: PhotonTransfer, ax: Axes | None = None) -> Axes
     for plane, transfer in result.items():
         _curve(axis, transfer, PLANE_COLORS.get(plane, "black"))
     axis.set(xlabel="mean above black (DN)", ylabel="temporal variance (DN$^2$)", xscale="log", yscale="log")
-    plain_log(axis.xaxis, axis.yaxis)
+    plain_log(axis, "x", "y")
     axis.legend(fontsize="small")
     return axis
 
@@ -49,7 +49,7 @@ def plot_transfer_residuals(result: PhotonTransfer, ax: Axes | None = None) -> A
     for plane, transfer in result.items():
         _residual(axis, transfer, PLANE_COLORS.get(plane, "black"))
     axis.set(xlabel="mean above black (DN)", ylabel="(variance - fit) / sigma", xscale="log")
-    plain_log(axis.xaxis)
+    plain_log(axis, "x")
     axis.axhspan(-2, 2, color="0.9")
     return axis
 
@@ -63,7 +63,7 @@ def plot_fixed_pattern(result: PhotonTransfer, ax: Axes | None = None) -> Axes:
     marks = np.vstack([np.ones((1, 2)), *(np.asarray(line.get_xydata()) for line in axis.lines)])[1:]
     if marks.size and marks.min() > 0 and np.all(marks.max(axis=0) > LOG_SPAN * marks.min(axis=0)):
         axis.set(xscale="log", yscale="log")
-        plain_log(axis.xaxis, axis.yaxis)
+        plain_log(axis, "x", "y")
     elif len(marks) and np.all(np.ptp(marks, axis=0) == 0):  # one level: from nothing to twice of it
         axis.set(xlim=(0, 2 * marks[0, 0]), ylim=(0, 2 * marks[0, 1]))
     return axis

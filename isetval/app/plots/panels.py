@@ -33,18 +33,19 @@ def legible() -> list[AbstractPathEffect]:
     return [withStroke(linewidth=1.6, foreground="white")]
 
 
-def plain_log(*scales: Axis) -> None:
+def plain_log(axis: Axes, *names: str) -> None:
     """Logarithmic axes in plain numbers: powers of ten, and 2 and 5 between them where less than two decades are shown.
 
-    An axis of one value, which has no scale, is opened to a factor of two on both sides.
+    ``names`` are "x", "y".  An axis of one value, which has no scale, is opened to a factor of two on both sides.
     """
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    for scale in scales:
+    for name in names:
+        scale: Axis = getattr(axis, f"{name}axis")
         low, high = scale.get_view_interval()
         if high < 1.01 * low:
             low, high = low / 2, high * 2
-            (scale.axes.set_xlim if scale.axis_name == "x" else scale.axes.set_ylim)(low, high)
+            axis.set(**{f"{name}lim": (low, high)})
         scale.set_major_locator(LogLocator(subs=(1, 2, 5) if high < TWO_DECADES * low else (1,)))
         scale.set_major_formatter(StrMethodFormatter("{x:g}"))
         scale.set_minor_formatter(NullFormatter())

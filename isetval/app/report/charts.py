@@ -56,6 +56,8 @@ def axis_of(rows: Sequence[Row]) -> tuple[str, str, Callable[[Row], Any]]:
         return "frequency, cy/px", "linear", lambda r: r.get("frequency_cy_px")
     if distinct(lambda r: r.get("patch") or None) > 2:
         return "patch", "names", lambda r: r.get("patch")
+    if distinct(level_number) > 2:
+        return "level of brightness, dark to bright", "linear", level_number
     in_the_dark = all(r.get("role") == "dark" for r in rows)
     if distinct(_light) > (1 if in_the_dark else 3) and distinct(_light) >= distinct(_radius) - 2:
         name = "exposure time, s" if in_the_dark else "light level x exposure time, s"
@@ -63,6 +65,12 @@ def axis_of(rows: Sequence[Row]) -> tuple[str, str, Callable[[Row], Any]]:
     if distinct(_radius) > 1:
         return "field radius, mm", "linear", _radius
     return "shot", "names", lambda r: r.get("shot")
+
+
+def level_number(row: Row) -> int | None:
+    """The number of a region ``level n`` (patches of a chart in order of their brightness)."""
+    kind, _, number = str(row.get("region") or "").partition(" ")
+    return int(number) if kind == "level" and number.isdigit() else None
 
 
 def _light(row: Row) -> float | None:
@@ -199,13 +207,13 @@ def falloff_plot(by_model: Sequence[Sequence[Row]]) -> str:
 
 
 def _field_rows(rows: Sequence[Row]) -> list[tuple[str, float, float, float]]:
-    """(plane, radius, measured, simulated) of set-ups seen at several places, relative to the innermost place."""
-    groups: dict[tuple[str, str], list[Row]] = {}
+    """(plane, radius, measured, simulated) of set-ups seen at several places in one light, relative to the innermost place."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if row["family"] == "flat_mean" and _radius(row) is not None:
-            groups.setdefault((row["setup"], row["channel"]), []).append(row)
+            groups.setdefault((row["setup"], row["channel"], f"{_light(row) or 0.0:.4g}"), []).append(row)
     out = []
-    for (_, plane), members in groups.items():
+    for (_, plane, _), members in groups.items():
         if len({_radius(m) for m in members}) < 3:
             continue
         inner = min(members, key=lambda m: _radius(m) or 0.0)

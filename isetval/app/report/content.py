@@ -56,6 +56,7 @@ def page_content(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "models": models,
         "ladder": ladder_table(models, columns, families),
         "in_sample": in_sample(diagnosis),
+        "held_out": all(row["role"] == "prediction" for row in rows),
         "failing_views": failing_views(by_model, columns),
         "planes": charts.planes_shown(by_model),
         "views": views(by_model),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from isetval.app.report import svg
-from isetval.app.report.charts import PLANE_CLASS, axis_of, row_words, thinned
+from isetval.app.report.charts import PLANE_CLASS, axis_of, level_number, row_words, thinned
 
 Row = Mapping[str, Any]
 Key = tuple[Any, ...]
@@ -54,7 +54,7 @@ def family_plot(family: str, by_model: Sequence[Sequence[Row]]) -> FamilyPlot:
 
 def _curves(rows: Sequence[Row], place: Callable[[Row], Any], kind: str) -> dict[Key, list[Row]]:
     """Rows that belong to one line, in order of their place."""
-    by_shot = kind == "names" or len({r.get("frequency_cy_px") for r in rows}) > 1
+    by_shot = kind == "names" or len({r.get("frequency_cy_px") for r in rows}) > 1 or place is level_number
     lines: dict[Key, list[Row]] = {}
     for row in rows:
         at = place(row)
