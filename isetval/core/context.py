@@ -15,12 +15,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import Remembered
 from isetval.core.sensor import Exposure, Sensor, plane_position
 
 Float = NDArray[np.float64]
 
 TILE_ROWS = 64  # of the endless grid of fixed patterns; changing it changes every simulated specimen
 TILE_COLS = 128
+COMMON_BYTES = 100_000_000  # of common random numbers: those of a plan of 50 windows of 100 px square in 5 frames are 20 MB
 Float32 = NDArray[np.float32]
 
 
@@ -40,6 +42,17 @@ def _tile(seed: int, key: tuple[int, ...], row: int, col: int) -> Float32:
     tile = stream(seed, *key, row, col).standard_normal((TILE_ROWS, TILE_COLS), dtype=np.float32)
     tile.flags.writeable = False
     return tile
+
+
+@lru_cache(maxsize=512)
+def _lines(seed: int, key: tuple[int, ...], count: int) -> Float:
+    """Unit normals of all rows or columns of a sensor; 16 MB of them are kept: two patterns of 40 specimens at 12 MP."""
+    lines = stream(seed, *key).standard_normal(count)
+    lines.flags.writeable = False
+    return lines
+
+
+_COMMON = Remembered(COMMON_BYTES)
 
 
 def fixed_normal(seed: int, key: tuple[int, ...], window: tuple[int, int, int, int]) -> Float32:
@@ -143,10 +156,10 @@ class Context:
     def fixed_lines(self, axis: Literal["row", "column"], part: int = 0) -> Float:
         """Unit normals of fixed line noise: one per sensor row (rows, 1) or column (1, cols)."""
         row0, col0, rows, cols = self.window
-        rng = stream(self.sensor_seed, *self.effect_key, _KIND["sensor"], 16 + part, 0 if axis == "row" else 1)
+        key = (*self.effect_key, _KIND["sensor"], 16 + part, 0 if axis == "row" else 1)
         if axis == "row":
-            return rng.standard_normal(self.sensor.rows)[row0 : row0 + rows, None]
-        return rng.standard_normal(self.sensor.cols)[None, col0 : col0 + cols]
+            return _lines(self.sensor_seed, key, self.sensor.rows)[row0 : row0 + rows, None]
+        return _lines(self.sensor_seed, key, self.sensor.cols)[None, col0 : col0 + cols]
 
     def fixed_rng(self, part: int = 0) -> np.random.Generator:
         """The stream of the sensor as a whole, for lists (hot pixels) and single numbers."""
@@ -154,12 +167,32 @@ class Context:
 
     def rng(self, kind: Literal["sensor", "frame"], part: int = 0) -> np.random.Generator:
         """A stream: of this sensor, or of this frame of this shot in this block of rows."""
-        if kind == "sensor":
-            return self.fixed_rng(part)
+        return self.fixed_rng(part) if kind == "sensor" else stream(self.seed, *self._frame_key(part))
+
+    def _frame_key(self, part: int) -> tuple[int, ...]:
         row0, col0 = self.window[:2]
         # regions beside each other are drawn one by one; a block that begins where the shot does needs no column
         place = (row0,) if self.shot_window is None or col0 == self.shot_window[1] else (row0, col0)
-        return stream(self.seed, *self.effect_key, _KIND["frame"], part, word(self.shot), self.frame, *place)
+        return (*self.effect_key, _KIND["frame"], part, word(self.shot), self.frame, *place)
+
+    def frame_numbers(self, kind: Literal["normal", "uniform"], shape: tuple[int, ...], part: int = 0) -> NDArray[Any]:
+        """Unit normals (float32) or uniforms of this frame, the first that `rng` would draw; may be read-only.
+
+        Derivatives ask for the same numbers at every point: they are remembered.
+        """
+
+        def drawn() -> NDArray[Any]:
+            rng = self.rng("frame", part)
+            return rng.standard_normal(shape, dtype=np.float32) if kind == "normal" else rng.random(shape)
+
+        if self.mode != "derivative":
+            return drawn()
+        key = (kind, self.seed, self._frame_key(part), shape)
+        found = _COMMON.get(key)
+        if found is None:
+            found = drawn()
+            _COMMON.put(key, found)
+        return found
 
     def frame_rng(self, part: int = 0) -> np.random.Generator:
         """The stream of this frame as a whole (the same in every block of rows)."""
@@ -191,14 +224,12 @@ def poisson(mean: Any, context: Context, part: int = 0) -> Float:
     z on both sides of a difference where the shot's mean is above 30, else the inverse CDF of the
     same uniforms; both stay correlated when the mean moves.
     """
-    rng = context.rng("frame", part)
     mean = np.maximum(mean, 0)
     if context.mode == "capture":
-        return np.asarray(rng.poisson(mean), dtype=np.float64)
+        return np.asarray(context.rng("frame", part).poisson(mean), dtype=np.float64)
     if context.poisson_gaussian:
-        z = rng.standard_normal(mean.shape, dtype=np.float32)
-        return np.asarray(mean + np.sqrt(mean) * z)
-    return _inverse_poisson(rng.random(mean.shape), mean)
+        return np.asarray(mean + np.sqrt(mean) * context.frame_numbers("normal", mean.shape, part))
+    return _inverse_poisson(context.frame_numbers("uniform", mean.shape, part), mean)
 
 
 def _inverse_poisson(chance: Float, mean: Float) -> Float:

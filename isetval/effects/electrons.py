@@ -20,7 +20,7 @@ Array = NDArray[Any]
 
 def own(pattern: Array, values: Array) -> Array:
     """A pattern (rows, cols) in the precision of the values, as (1, rows, cols), free to be overwritten."""
-    return pattern.astype(values.dtype, copy=False)[None]
+    return pattern.astype(values.dtype, copy=not pattern.flags.writeable)[None]
 
 
 def rare_pixels(context: Context, fraction: float) -> tuple[NDArray[np.bool_], Array]:

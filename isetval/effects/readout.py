@@ -118,7 +118,7 @@ class ReadNoise(Effect):
         """Add this frame's noise; nothing in the expectation."""
         if not self.sigma_e or context.mode == "expected":
             return signal
-        return _with_pattern(signal, context.rng("frame").standard_normal(context.window[2:], dtype=np.float32), self.sigma_e)
+        return _with_pattern(signal, context.frame_numbers("normal", context.window[2:]), self.sigma_e)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +147,7 @@ class ResetNoise(Effect):
         """Add this frame's noise; nothing in the expectation."""
         if not self.sigma_e or context.mode == "expected":
             return signal
-        return _with_pattern(signal, context.rng("frame").standard_normal(context.window[2:], dtype=np.float32), self.sigma_e)
+        return _with_pattern(signal, context.frame_numbers("normal", context.window[2:]), self.sigma_e)
 
 
 @dataclass(frozen=True, kw_only=True)

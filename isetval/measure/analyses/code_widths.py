@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from isetval.core.campaign import Shot
-from isetval.core.capture import Capture, plane_view, planes_of
+from isetval.core.capture import Capture, planes_of
 from isetval.core.metric import Block
 from isetval.measure.conditions import metric, shot_conditions
+from isetval.measure.noise.code_counts import code_counts, total_counts
 from isetval.measure.noise.code_density import code_widths
 
 ROLES = ("flat",)
@@ -23,10 +22,10 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     Planes with clipped pixels give none: clipping fills one code.  See `isetval.measure.noise.code_density.code_widths`.
     """
     conditions = shot_conditions(shot, captures[0].sensor)
+    each, white = [code_counts(capture) for capture in captures], int(captures[0].sensor.white_dn)
     rows = []
     for plane in planes_of(captures[0]):
-        counts = np.sum([np.bincount(plane_view(c, plane)[0].ravel(), minlength=65536) for c in captures], axis=0)
-        white = int(captures[0].sensor.white_dn)
+        counts = total_counts([found[plane].counts for found in each])
         found = None if counts[0] or counts[white:].any() else code_widths(counts)
         if found is not None:
             for name, value in (("code_width_variance", found.variance), ("code_pattern_variance", found.repeated)):

@@ -48,20 +48,21 @@ noisy as well; noisy pixels are partly chance."""
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
     """Statistics of all frames of one dark or flat shot; nothing is chosen from the data."""
     captures = tuple(captures)  # a long series decodes a file at every access
-    statistics = (dark_statistics if shot.role == "dark" else flat_statistics)(captures)
+    statistics = (dark_statistics if shot.role == "dark" else flat_statistics)(captures, codes=False)
     conditions = shot_conditions(shot, captures[0].sensor)
+    planes = [plane for plane in statistics if plane != "mosaic"]
+    shares = {plane: _clipped(captures, plane) for plane in planes}
+    whole = max(shares.values()) <= TOUCHED
     rows: list[Metric] = []
     links: list[tuple[str, list[int], list[int]]] = []
     shared: dict[str, list[tuple[int, float]]] = {}
     for plane, plane_statistics in statistics.items():
         if plane == "mosaic":
-            if any(_clipped(captures, other) > TOUCHED for other in statistics if other != "mosaic"):
-                continue
-            rows += _neighbors(shot, conditions, plane_statistics)
+            rows += _neighbors(shot, conditions, plane_statistics) if whole else []
             continue
         names = list(plane_statistics)
         here, there = [], []
-        clipped = _clipped(captures, plane)
+        clipped = shares[plane]
         if clipped > SATURATED:
             level = plane_statistics["mean_dn"].value
             rows.append(
@@ -97,9 +98,8 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
             for row, common in _counts(shot, conditions, plane, plane_statistics):
                 shared.setdefault(f"{shot.role}:defects:{plane}:{window_label(shot)}", []).append((len(rows), common))
                 rows.append(row)
-    whole = [statistics[plane] for plane in statistics if plane != "mosaic"]
-    if not any(_clipped(captures, part.plane) > TOUCHED for part in whole):
-        for row, of_specimen in _pattern_neighbors(shot, conditions, whole):
+    if whole:
+        for row, of_specimen in _pattern_neighbors(shot, conditions, [statistics[plane] for plane in planes]):
             shared.setdefault(f"{shot.role}:pattern:{row.region}:{window_label(shot)}", []).append((len(rows), of_specimen))
             rows.append(row)
     correlation = np.eye(len(rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -60,6 +61,14 @@ def code_counts(capture: Capture, roi: RoiLike | None = None) -> dict[str, CodeC
     if capture not in _KNOWN:
         _KNOWN[capture] = _counted(capture, None)
     return _KNOWN[capture]
+
+
+def total_counts(each: Sequence[Counts]) -> Counts:
+    """Counts of several frames together, (codes,), as long as the longest of them."""
+    total = np.zeros(max(own.size for own in each), np.int64)
+    for own in each:
+        total[: own.size] += own
+    return total
 
 
 def _counted(capture: Capture, roi: RoiLike | None) -> dict[str, CodeCounts]:

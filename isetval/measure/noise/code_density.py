@@ -41,7 +41,10 @@ def code_widths(counts: NDArray[np.integer]) -> CodeWidths | None:
     with the Poisson part taken out; ``repeated`` the same of the means over codes that are equal modulo 16.
     Source: IEEE Std 1241 (histogram test of differential non-linearity); scoring as for any generalised linear model.
     """
-    share = np.cumsum(counts) / max(int(counts.sum()), 1)
+    total = int(counts.sum())
+    if total < LEAST_CODES * LEAST_COUNTS:
+        return None
+    share = np.cumsum(counts) / total
     first, last = np.searchsorted(share, [(1 - INSIDE) / 2, (1 + INSIDE) / 2])
     seen = counts[first : last + 1].astype(float)
     if seen.size < LEAST_CODES or seen.mean() < LEAST_COUNTS:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture
 from isetval.core.quantity import Quantity
 from isetval.core.sensor import RoiLike
-from isetval.measure.noise.code_counts import code_counts
+from isetval.measure.noise.code_counts import code_counts, total_counts
 
 Float = NDArray[np.float64]
 MIN_EXPECTED = 10.0  # a code expected ten times is missing by chance once in e^10 = 22 000
@@ -236,9 +236,7 @@ def code_statistics(captures: Sequence[Capture], roi: RoiLike | None = None) -> 
 
 
 def _of_counts(each: Sequence[NDArray[np.int64]], white_dn: float) -> dict[str, Quantity]:
-    counts = np.zeros(max(c.size for c in each), np.int64)
-    for own in each:
-        counts[: own.size] += own
+    counts = total_counts(each)
     low = int(np.flatnonzero(counts)[0])
     counts = np.trim_zeros(counts)
     total = int(counts.sum())

@@ -50,7 +50,9 @@ class PlaneStatistics:
         return iter(self.quantities)
 
 
-def flat_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
+def flat_statistics(
+    captures: Sequence[Capture], roi: RoiLike | None = None, *, degree: int = 2, codes: bool = True
+) -> dict[str, PlaneStatistics]:
     """Statistics of frames of one uniformly lit set-up.
 
     Parameters
@@ -61,6 +63,8 @@ def flat_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, 
         Region on the mosaic.
     degree : int
         Total degree of the light surface that is divided out before the fixed pattern is split.
+    codes : bool
+        Also clipped, missing and odd codes.
 
     Returns
     -------
@@ -73,26 +77,30 @@ def flat_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, 
     InputError
         For no captures, or captures of different sizes or patterns.
     """
-    return _statistics(captures, roi, degree, relative=True)
+    return _statistics(captures, roi, degree, relative=True, codes=codes)
 
 
-def dark_statistics(captures: Sequence[Capture], roi: RoiLike | None = None, *, degree: int = 2) -> dict[str, PlaneStatistics]:
+def dark_statistics(
+    captures: Sequence[Capture], roi: RoiLike | None = None, *, degree: int = 2, codes: bool = True
+) -> dict[str, PlaneStatistics]:
     """Statistics of dark frames of one exposure time; see ``flat_statistics``."""
-    return _statistics(captures, roi, degree, relative=False)
+    return _statistics(captures, roi, degree, relative=False, codes=codes)
 
 
 @one_blas_thread()
-def _statistics(captures: Sequence[Capture], roi: RoiLike | None, degree: int, *, relative: bool) -> dict[str, PlaneStatistics]:
+def _statistics(
+    captures: Sequence[Capture], roi: RoiLike | None, degree: int, *, relative: bool, codes: bool
+) -> dict[str, PlaneStatistics]:
     captures = tuple(captures)  # a long series decodes a file at every access
     check_frames(captures)
     check_region(captures[0], roi)
     several = len(captures) > 1
     found = frame_pass(captures, roi) if several else _of_one_frame(captures[0], roi)
-    codes = code_statistics(captures, roi)
+    of_codes: Mapping[str, Mapping[str, Quantity]] = code_statistics(captures, roi) if codes else {}
     out: dict[str, PlaneStatistics] = {}
     for plane, moments in found.planes.items():
         clean = _without_noisy(captures, plane, roi, moments)
-        out[plane] = _plane_statistics(plane, (moments, clean), codes[plane], degree, relative=relative)
+        out[plane] = _plane_statistics(plane, (moments, clean), of_codes.get(plane, {}), degree, relative=relative)
     if several:
         out["mosaic"] = _mosaic_statistics(dict(found.covariances), len(captures), check_roi(captures[0], roi))
     return out
