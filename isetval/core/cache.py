@@ -18,6 +18,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -201,27 +202,30 @@ def prune(folder: Path, *, max_bytes: int) -> int:
 
 
 class Remembered:
-    """Arrays in memory by their key, those used longest ago out first, bounded in bytes."""
+    """Arrays in memory by their key, those used longest ago out first, bounded in bytes; threads may share it."""
 
     def __init__(self, max_bytes: int) -> None:
         self.max_bytes, self.used = max_bytes, 0
         self._items: OrderedDict[Any, NDArray[Any]] = OrderedDict()
+        self._lock = Lock()
 
     def get(self, key: Any) -> NDArray[Any] | None:
         """The array of a key, or None."""
-        if key in self._items:
-            self._items.move_to_end(key)
-        return self._items.get(key)
+        with self._lock:
+            if key in self._items:
+                self._items.move_to_end(key)
+            return self._items.get(key)
 
     def put(self, key: Any, value: NDArray[Any]) -> None:
         """Remember an array, read-only from now on; the last one is kept however large it is."""
         value.flags.writeable = False
-        if key in self._items:
-            self.used -= self._items.pop(key).nbytes
-        self._items[key] = value
-        self.used += value.nbytes
-        while self.used > self.max_bytes and len(self._items) > 1:
-            self.used -= self._items.popitem(last=False)[1].nbytes
+        with self._lock:
+            if key in self._items:
+                self.used -= self._items.pop(key).nbytes
+            self._items[key] = value
+            self.used += value.nbytes
+            while self.used > self.max_bytes and len(self._items) > 1:
+                self.used -= self._items.popitem(last=False)[1].nbytes
 
 
 _further_code: set[Path] = set()

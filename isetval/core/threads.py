@@ -80,9 +80,9 @@ def _counts_by_thread(library: LibController) -> bool:
 
 
 def _lower(library: LibController, before: Numbers) -> None:
-    """Set a library to one thread unless that was done already."""
-    if library.filepath not in before:
-        before[library.filepath] = library, library.get_num_threads()
+    """Set a library to one thread unless it has one; workers have, and setting costs more than a small product."""
+    if library.filepath not in before and (number := library.get_num_threads()) != 1:
+        before[library.filepath] = library, number
         _set(library, 1)
 
 

@@ -6,8 +6,8 @@ on those shots alone, and the profiled cosine of the pair is computed again with
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.errors import InputError
+from isetval.core.parameter import Parameter
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure, Window
+from isetval.loop.candidates import Candidate
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import orthonormal_basis, with_priors
@@ -25,6 +27,7 @@ from isetval.loop.problem import Problem, make_problem
 from isetval.loop.result import NextCapture
 from isetval.loop.score_test import Frame, cosine, make_frame
 from isetval.loop.signatures import Signature, signatures
+from isetval.loop.task_runner import Call
 from isetval.measure.campaign import measure_campaign
 
 Float = NDArray[np.float64]
@@ -135,56 +138,64 @@ def next_captures(
     """The ``keep`` proposals that lower the cosine of the given pairs most (None: all that lower one), best first."""
     if not pairs:
         return []
-    nominal = problem.nominal
-    start = Point(nominal)
+    start = Point(problem.nominal)
     frame = make_frame(fitted)
     before = {(a.candidate.name, b.candidate.name): _pair_cosine(problem, frame, a, b) for a, b in pairs}
+    wanted = list({s.candidate.name: s.candidate for pair in pairs for s in pair}.values())
+    offered = list(proposals(problem.plan))
+    calls = [Call(shown_by, (plan, start, wanted), i) for i, (_, plan) in enumerate(offered)]
+    shown = dict(problem.predictor.over_workers(calls))
     out = []
-    for label, plan in proposals(problem.plan):
-        try:
-            extra = _extra(problem, plan, start)
-        except InputError:
-            continue
-        wanted = {s.candidate.name: s.candidate for pair in pairs for s in pair}
-        made = {
-            s.candidate.name: s for s in signatures(extra, start, list(wanted.values()), project=np.zeros((extra.keep.size, 0)))
-        }
-        for a, b in pairs:
+    for i, (label, _) in enumerate(offered):
+        for a, b in pairs if shown[i] is not None else ():
             names = (a.candidate.name, b.candidate.name)
-            after = _joint_cosine(problem, extra, fitted, (a, b), (made[names[0]], made[names[1]]))
+            after = _joint_cosine(problem, fitted, (a, b), shown[i])
             if before[names] - after > WORTH:
                 out.append(NextCapture(label, names, before[names], after))
     out.sort(key=lambda c: c.rho_before**2 - c.rho_after**2, reverse=True)
     return out[:keep]
 
 
-def _extra(problem: Problem, plan: Campaign, start: Point) -> Problem:
-    shot = simulate(start.model, plan, seed=3)
-    predictor = Predictor(plan, measure_campaign(shot), jobs=1)
-    return make_problem(predictor, start, base=predictor.base(start, REPLICAS))
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What further shots show: whitened columns (rows, parameters) of the nuisances ``free``, and of candidates by name."""
+
+    free: tuple[Parameter, ...]
+    nuisances: Float
+    candidates: Mapping[str, Float]
+
+
+def shown_by(plan: Campaign, start: Point, wanted: Sequence[Candidate]) -> Shown | None:
+    """What the shots of a small plan would show of candidates; None where they cannot be measured."""
+    try:
+        shot = simulate(start.model, plan, seed=3)
+        predictor = Predictor(plan, measure_campaign(shot), jobs=1)
+        extra = make_problem(predictor, start, base=predictor.base(start, REPLICAS))
+    except InputError:
+        return None
+    made = signatures(extra, start, wanted, project=np.zeros((extra.keep.size, 0)))
+    free = nuisance_parameters(extra.plan, start.model)
+    columns = jacobian(extra, start, free)
+    predictor.close()
+    return Shown(free, columns, {s.candidate.name: extra.whitened(s.columns) for s in made})
 
 
 def _pair_cosine(problem: Problem, frame: Frame, a: Signature, b: Signature) -> float:
     return cosine(frame, problem.whitened(a.columns), problem.whitened(b.columns))
 
 
-def _joint_cosine(
-    problem: Problem, extra: Problem, fitted: Fit, pair: tuple[Signature, Signature], more: tuple[Signature, Signature]
-) -> float:
+def _joint_cosine(problem: Problem, fitted: Fit, pair: tuple[Signature, Signature], extra: Shown) -> float:
     """The cosine on both plans together; nuisances with the same label are shared."""
     own = list(fitted.free)
     known = {f.label for f in own}
-    free_extra = nuisance_parameters(extra.plan, extra.nominal)
-    new = [f for f in free_extra if f.label not in known]
-    columns_extra = jacobian(extra, Point(extra.nominal), free_extra)
+    new = [f for f in extra.free if f.label not in known]
     place = {f.label: i for i, f in enumerate([*own, *new])}
     top = np.zeros((problem.keep.size, len(place)))
     top[:, : len(own)] = fitted.jacobian
-    bottom = np.zeros((extra.keep.size, len(place)))
-    for i, f in enumerate(free_extra):
-        bottom[:, place[f.label]] = columns_extra[:, i]
+    bottom = np.zeros((len(extra.nuisances), len(place)))
+    bottom[:, [place[f.label] for f in extra.free]] = extra.nuisances
     matrix, priors = with_priors(np.vstack([top, bottom]), [*own, *new])
-    rows = problem.keep.size + extra.keep.size
+    rows = problem.keep.size + len(bottom)
     frame = Frame(np.zeros(rows + priors.size), orthonormal_basis(matrix), rows)
-    white = [np.vstack([problem.whitened(s.columns), extra.whitened(m.columns)]) for s, m in zip(pair, more, strict=True)]
+    white = [np.vstack([problem.whitened(s.columns), extra.candidates[s.candidate.name]]) for s in pair]
     return cosine(frame, white[0], white[1])

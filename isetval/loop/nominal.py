@@ -22,7 +22,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.loop.looked_at import looked_at
-from isetval.loop.telling import Counted
+from isetval.loop.task_runner import Call, Runner
 from isetval.measure.campaign import analyses, measure_campaign
 
 SEED = 6_000  # of captures that nothing else is compared with
@@ -37,8 +37,8 @@ class Nominal:
     rows: Mapping[str, tuple[Key, ...]] = field(default_factory=dict)
 
 
-def nominal_of(model: CameraModel, plan: Campaign, counted: Counted | None = None) -> Nominal:
-    """Choices and rows of a plan under a model; kept in the cache folder by content.
+def nominal_of(model: CameraModel, plan: Campaign, runner: Runner | None = None) -> Nominal:
+    """Choices and rows of a plan under a model, made by the workers of a runner; kept in the cache folder by content.
 
     Shots whose rows are given by a metrics file have none, nor have shots that the model's captures cannot be measured for.
     """
@@ -51,20 +51,25 @@ def nominal_of(model: CameraModel, plan: Campaign, counted: Counted | None = Non
     path = cache_folder() / "nominal" / f"{content_hash((SEED, code_hash(), model.digest(), seen))[:32]}.json"
     if (known := _read(load_json(path))) is not None:
         return known
-    made: dict[str, dict[str, Any]] = {"choices": {}, "rows": {}}
-    for i, shot in enumerate(plan.shots):
-        setup = replace(shot_setup(plan, shot, {}), regions=looked_at(shot, model.sensor))
-        captures = MemoryCaptures({shot.name: expose(model, setup, SEED)})
-        try:
-            table = measure_campaign(replace(plan.only([shot.name]), captures=captures), summaries=False)
-        except InputError:  # whoever compares will say so
-            continue
-        made["choices"] |= {key: table.choices[key] for key, _ in _careful(shot) if key in table.choices}
-        made["rows"][shot.name] = [m.key() for m in table.metrics]
-        if counted is not None:
-            counted(i + 1, len(plan.shots))
+    calls = [Call(made_for, (model, plan.only([shot.name])), i) for i, shot in enumerate(plan.shots)]
+    found = dict((runner or Runner()).results(calls))
+    choices = {key: value for i in range(len(calls)) for key, value in found[i].choices.items()}
+    made = {"choices": choices, "rows": {name: rows for i in range(len(calls)) for name, rows in found[i].rows.items()}}
     save_json(path, made)
     return _read(json.loads(json.dumps(made))) or Nominal()  # as it will be read: equal content, equal keys
+
+
+def made_for(model: CameraModel, plan: Campaign) -> Nominal:
+    """Of a plan of one shot; empty where its captures cannot be measured, which whoever compares will say."""
+    (shot,) = plan.shots
+    setup = replace(shot_setup(plan, shot, {}), regions=looked_at(shot, model.sensor))
+    captures = MemoryCaptures({shot.name: expose(model, setup, SEED)})
+    try:
+        table = measure_campaign(replace(plan, captures=captures), summaries=False)
+    except InputError:
+        return Nominal()
+    choices = {key: table.choices[key] for key, _ in _careful(shot) if key in table.choices}
+    return Nominal(choices, {shot.name: tuple(m.key() for m in table.metrics)})
 
 
 def _read(content: Any) -> Nominal | None:

@@ -21,7 +21,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.context import Mode
 from isetval.core.metric import Differences, MetricTable
 from isetval.core.number_store import NumberStore
-from isetval.core.scene import RenderedTarget
+from isetval.core.scene import ChartTarget, RenderedTarget
 from isetval.core.sensor import Roi
 from isetval.loop.gaussian import scatter
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
@@ -58,7 +58,7 @@ class Base:
 
     ``values`` is (replicas, metrics); ``covariance`` (metrics, metrics) is of one campaign, scaled by
     family and shot to the scatter that the replicas show; ``scale`` (metrics,) holds those factors of sigma.  ``render`` is
-    the part of its diagonal, (metrics,), that comes from the noise of renders.
+    the part of its diagonal, (metrics,), that comes from the noise of renders.  ``samples`` are the replicas shot by shot.
     """
 
     mean: Float
@@ -66,6 +66,7 @@ class Base:
     values: Float
     scale: Float
     render: Float | float = 0.0
+    samples: Mapping[str, Sampled] = field(default_factory=dict)
 
     @property
     def replicas(self) -> int:
@@ -115,7 +116,7 @@ class Predictor:
             for name, own in self.rows.items()
         }
         self.pick = {name: self._wanted[name].places([self.keys[i] for i in own]) for name, own in self.rows.items()}
-        self._number = {shot.name: i for i, shot in enumerate(self.shots)}
+        self._number = _of_one_picture(self.shots)
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
         self._chosen = {name: content_hash(choices) for name, choices in self._choices.items()}
@@ -159,6 +160,10 @@ class Predictor:
         out = np.zeros(len(self.keys), bool)
         out[np.concatenate([self.rows[shot.name] for shot in self.shots])] = True
         return out
+
+    def over_workers(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
+        """Places of calls and what they gave, done by the workers of this predictor."""
+        return self._runner.results(calls)
 
     def close(self) -> None:
         """Stop the workers; keep what was simulated for the next time."""
@@ -237,19 +242,20 @@ class Predictor:
         small = frozenset(name for name, n in pixels.items() if n <= np.mean(list(pixels.values())))
         return small if len(small) < len(pixels) else frozenset()
 
-    def base(self, point: Point, replicas: int = REPLICAS) -> Base:
-        """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen."""
+    def base(self, point: Point, replicas: int = REPLICAS, *, known: Mapping[str, Sampled] | None = None) -> Base:
+        """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen; some may be ``known``."""
         every = [self.parts(point, BASE_SEED + r, derivative=False) for r in range(replicas)]
         count = min(COVARIANCE_REPLICAS, replicas)
-        groups = [[parts[k] for parts in every] for k in range(len(self.shots))]
-        known = self.known_or_made(sample_of, groups, [(count,)] * len(groups))
-        values, covariance = self._gathered(
-            [Sampled.unpacked(vector).only(self.pick[shot.name]) for shot, vector in zip(self.shots, known, strict=True)]
-        )
+        samples = {name: replace(sample, values=sample.values[:replicas]) for name, sample in (known or {}).items()}
+        groups = [[parts[k] for parts in every] for k, shot in enumerate(self.shots) if shot.name not in samples]
+        for group, vector in zip(groups, self.known_or_made(sample_of, groups, [(count,)] * len(groups)), strict=True):
+            name = group[0].setup.shot.name
+            samples[name] = Sampled.unpacked(vector).only(self.pick[name])
+        values, covariance = self._gathered([samples[shot.name] for shot in self.shots])
         scale = scatter(values, measured_only(covariance, self.table), self.table.metrics)
         rendered = self._of_renders(every[0])
         covariance = with_stated_covariance(covariance * np.outer(scale, scale) + rendered, self.table, replicas)
-        return Base(values.mean(axis=0), covariance, values, scale, np.diag(rendered))
+        return Base(values.mean(axis=0), covariance, values, scale, np.diag(rendered), samples)
 
     def _gathered(self, samples: Sequence[Sampled]) -> tuple[Float, Float]:
         """Values (replicas, metrics) and the stated covariance (metrics, metrics) of one campaign."""
@@ -307,6 +313,16 @@ class Predictor:
         for i, vector in self._runner.results([self._call(function, groups[i], *more[i]) for i in missing]):
             self._memo.put(keys[missing[i]], vector)
         return [self._memo.items[key] for key in keys]
+
+
+def _of_one_picture(shots: Sequence[Shot]) -> dict[str, int]:
+    """A number for each shot, equal for a chart in several lights: its blurred patches are all that such shots cost."""
+    found: dict[str, int] = {}
+    pictures: dict[str, int] = {}
+    for i, shot in enumerate(shots):
+        chart = isinstance(shot.target, ChartTarget)
+        found[shot.name] = pictures.setdefault(content_hash((shot.target, shot.window)), i) if chart else i
+    return found
 
 
 def _by_shot(tasks: Mapping[str, ShotPart]) -> Iterator[list[str]]:

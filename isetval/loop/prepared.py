@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any
@@ -22,6 +23,7 @@ from isetval.loop.given_side import given_rows
 from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import DERIVATIVE_SEEDS, REPLICAS, Point, Predictor
 from isetval.loop.problem import Problem, make_problem
+from isetval.loop.task_runner import Runner
 from isetval.loop.telling import Say, Teller
 from isetval.loop.valleys import deepest
 from isetval.measure.campaign import measure_campaign
@@ -60,7 +62,8 @@ class Prepared:
         if key == self.model.digest():
             return self.problem
         if key not in self.problems:
-            self.problems[key] = make_problem(self.problem.predictor, Point(model, values or {}), seeds=seeds)
+            near = (self.problem, *self.problems.values())
+            self.problems[key] = make_problem(self.problem.predictor, Point(model, values or {}), seeds=seeds, near=near)
         return self.problems[key]
 
     def stands_for(self, model: CameraModel, problem: Problem, values: Mapping[str, float]) -> None:
@@ -143,21 +146,22 @@ def prepare(
     model = model.sampled_as(campaign.sensor)
     check_sensor(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
-    nominal = nominal_of(model, campaign, say.counted)
-    table = table or measure_campaign(
-        campaign,
-        choices=that_hold(campaign, nominal),
-        summaries=False,
-        progress=lambda _, done, total: say.counted(done, total),
-    )
-    campaign = _without_broken(campaign)
-    predictor = Predictor(campaign, table, rows=nominal.rows, jobs=jobs, progress=say.counted)
-    say(f"simulating the plan with {model.name}")
-    try:
-        problem = make_problem(predictor, Point(model), base=predictor.base(Point(model), _replicas(campaign)))
-    except BaseException:
-        predictor.close()  # what was simulated is kept
-        raise
+    with closing(Runner(jobs, say.counted)) as runner:  # until the predictor goes on with its workers
+        nominal = nominal_of(model, campaign, runner)
+        table = table or measure_campaign(
+            campaign,
+            choices=that_hold(campaign, nominal),
+            summaries=False,
+            progress=lambda _, done, total: say.counted(done, total),
+        )
+        campaign = _without_broken(campaign)
+        predictor = Predictor(campaign, table, rows=nominal.rows, jobs=jobs, progress=say.counted)
+        say(f"simulating the plan with {model.name}")
+        try:
+            problem = make_problem(predictor, Point(model), base=predictor.base(Point(model), _replicas(campaign)))
+        except BaseException:
+            predictor.close()  # what was simulated is kept
+            raise
     table = replace(table, notes=(*table.notes, *_without_counterpart(problem)))
     return Prepared(model, campaign, table, problem)
 

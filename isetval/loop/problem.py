@@ -15,9 +15,11 @@ from isetval.core.metric import MetricTable
 from isetval.core.scene import ChartTarget
 from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
+from isetval.loop.shot_task import Sampled
 from isetval.measure.noise.statistics import tilt_power
 
 Float = NDArray[np.float64]
+HOLDS = 1.0  # sigmas of a row: of variances 3 % in flats of 1600 pixels a plane, a third of what weights are known to
 FLICKER_STEP = 0.01  # of the light: several times the flicker of lamps, well inside the linear range
 
 
@@ -27,6 +29,15 @@ class Column:
 
     slope: Float
     taken_at: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Replicas:
+    """Replicas of one shot, and the vector of differences (rows of the shot,) with ``seeds`` where they were simulated."""
+
+    sample: Sampled
+    anchor: Float
+    seeds: tuple[int, ...]
 
 
 @dataclass(eq=False)
@@ -43,6 +54,7 @@ class Problem:
     covariance: Float
     seeds: tuple[int, ...] = DERIVATIVE_SEEDS
     columns: dict[str, Column] = field(default_factory=dict)
+    replicas: Mapping[str, Replicas] = field(default_factory=dict)
 
     @property
     def nominal(self) -> CameraModel:
@@ -72,17 +84,28 @@ class Problem:
 
 
 def make_problem(
-    predictor: Predictor, origin: Point, *, base: Base | None = None, seeds: tuple[int, ...] = DERIVATIVE_SEEDS
+    predictor: Predictor,
+    origin: Point,
+    *,
+    base: Base | None = None,
+    seeds: tuple[int, ...] = DERIVATIVE_SEEDS,
+    near: Sequence[Problem] = (),
 ) -> Problem:
     """Simulate the prediction at ``origin`` and weigh it; differences are taken with ``seeds``.
+
+    Replicas of shots that one of the problems ``near`` holds as well are not simulated again.
 
     Raises
     ------
     InputError
         If no measured row can be compared with a prediction.
     """
-    base = base or predictor.base(origin)
     (anchor,) = predictor.derivative_vectors([origin], seeds)
+    held: dict[str, Replicas] = {}
+    for other in near if base is None else ():
+        held = _that_hold(predictor, anchor, seeds, other) | held
+    base = base or predictor.base(origin, known={name: _moved(own, anchor[predictor.rows[name]]) for name, own in held.items()})
+    made = {name: Replicas(sample, anchor[predictor.rows[name]], seeds) for name, sample in base.samples.items()}
     measured = predictor.table.values
     variance = np.diag(base.covariance)
     usable = (
@@ -98,9 +121,35 @@ def make_problem(
     keep = np.flatnonzero(usable)
     if keep.size == 0:
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
-    problem = Problem(predictor, origin, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds)
+    problem = Problem(
+        predictor, origin, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds, replicas=made | held
+    )
     weigh(problem)
     return problem
+
+
+def _that_hold(predictor: Predictor, anchor: Float, seeds: tuple[int, ...], near: Problem) -> dict[str, Replicas]:
+    """Replicas of shots whose rows stand within `HOLDS` sigmas of where they were simulated: weights and scatter are the same.
+
+    A mean over pixels does not feel their noise: shots in which it is not measured hold only where all those do in which it is.
+    """
+    sigma = np.sqrt(np.diag(near.base.covariance))
+
+    def holds(name: str) -> bool:
+        own, rows = near.replicas[name], predictor.rows[name]
+        off = np.abs(anchor[rows] - own.anchor)
+        lost = np.isnan(anchor[rows]) & np.isnan(own.anchor)
+        return own.seeds == seeds and bool(np.all(lost | (off <= HOLDS * sigma[rows])))
+
+    known = {shot.name: holds(shot.name) for shot in predictor.shots if shot.name in near.replicas}
+    of_noise = [here for name, here in known.items() if not predictor.differences[name].one_frame]
+    quiet = bool(of_noise) and all(of_noise)
+    return {n: near.replicas[n] for n, here in known.items() if here and (quiet or not predictor.differences[n].one_frame)}
+
+
+def _moved(replicas: Replicas, anchor: Float) -> Sampled:
+    """Replicas as they would be where the vector of differences is ``anchor``."""
+    return replace(replicas.sample, values=replicas.sample.values + np.nan_to_num(anchor - replicas.anchor))
 
 
 def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np.bool_]:

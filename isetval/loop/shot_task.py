@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -115,18 +115,33 @@ _MEASURED = Remembered(WORKER_BYTES)
 
 
 def vectors_of(tasks: Sequence[ShotPart], rows: Rows) -> list[Float]:
-    """Values of rows for tasks of one shot; equal light and electronics are shot and measured once per process.
+    """Values of rows for tasks of one shot; equal light and electronics are shot once per process, equal frames measured once.
 
-    Unlike the store, which knows what a shot is made from, this one knows the light that came out: a parameter
-    that does not touch the shot costs nothing but the light.
+    Unlike the store, which knows what a shot is made from, this one knows what came out: a parameter that does not touch
+    the shot costs nothing but the light or, of the electronics, the frames.
     """
     keys = [(rows.digest, task.key_of_light(mean_electrons(task.model, task.setup))) for task in tasks]
     known = {key: found for key in keys if (found := _MEASURED.get(key)) is not None}
     todo = {key: task for key, task in zip(keys, tasks, strict=True) if key not in known}
-    for key, blocks in zip(todo, blocks_of(list(todo.values())), strict=True):
-        known[key] = rows.values(blocks)
-        _MEASURED.put(key, known[key])
+    for key, vector in zip(todo, _of_frames(list(todo.values()), rows), strict=True):
+        known[key] = vector
+        _MEASURED.put(key, vector)
     return [known[key] for key in keys]
+
+
+def _of_frames(tasks: Sequence[ShotPart], rows: Rows) -> Iterator[Float]:
+    """Values of rows for tasks of one shot with equal choices; of a demo's flats and darks a quarter are another's by the bit."""
+    for part, captures in _shot_together(tasks):
+        marks = [
+            content_hash((rows.digest, t.setup.shot.name, t.chosen, t.model.sensor, [c.mosaic for c in own]))
+            for t, own in zip(part, captures, strict=True)
+        ]
+        known = {mark: found for mark in marks if (found := _MEASURED.get(mark)) is not None}
+        todo = {mark: own for mark, own in zip(marks, captures, strict=True) if mark not in known}
+        for mark, blocks in zip(todo, _measured_alike(part[0], list(todo.values())), strict=True):
+            known[mark] = rows.values(blocks)
+            _MEASURED.put(mark, known[mark])
+        yield from (known[mark] for mark in marks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,10 +222,16 @@ def render_part(tasks: Sequence[ShotPart], rows: Rows) -> Float | None:
 
 def blocks_of(tasks: Sequence[ShotPart]) -> list[list[Block]]:
     """The blocks of tasks of one shot with equal choices; none where nothing of it can be measured."""
-    out: list[list[Block]] = []
+    return [blocks for part, captures in _shot_together(tasks) for blocks in _measured_alike(part[0], captures)]
+
+
+def _shot_together(tasks: Sequence[ShotPart]) -> Iterator[tuple[Sequence[ShotPart], list[tuple[Capture, ...]]]]:
+    """Tasks of one shot with their frames, as many at a time as are held."""
     step = max(1, HELD_PIXELS // (tasks[0].pixels * tasks[0].setup.shot.frames)) if tasks else 1
     for i in range(0, len(tasks), step):
         part = tasks[i : i + step]
-        captures = [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices, rounded=t.rounded) for t in part]
-        out += measure_shots(part[0].setup.shot, captures, choices=part[0].choices)
-    return out
+        yield part, [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices, rounded=t.rounded) for t in part]
+
+
+def _measured_alike(task: ShotPart, captures: Sequence[tuple[Capture, ...]]) -> list[list[Block]]:
+    return measure_shots(task.setup.shot, captures, choices=task.choices) if captures else []

@@ -6,7 +6,8 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 from isetval.core.workers import single_worker
@@ -27,6 +28,18 @@ class Call:
 
 
 @dataclass(eq=False)
+class _Workers:
+    """Processes that all runners with so many jobs share: each takes a second of imports and tables before it can begin."""
+
+    pools: list[ProcessPoolExecutor]
+    users: int = 0
+
+
+_SHARED: dict[int, _Workers] = {}
+_LOCK = Lock()
+
+
+@dataclass(eq=False)
 class Runner:
     """Does calls in this process or in several others.
 
@@ -36,16 +49,34 @@ class Runner:
 
     jobs: int = 1
     progress: Counted | None = None
-    _pools: list[ProcessPoolExecutor] = field(default_factory=list)
+    _workers: _Workers | None = None
 
     def __post_init__(self) -> None:
         self.jobs = max(1, min(self.jobs, os.cpu_count() or 1))
 
     def close(self) -> None:
-        """Stop the workers."""
-        for pool in self._pools:
+        """Let the workers go; those that nobody else uses end."""
+        with _LOCK:
+            workers, self._workers = self._workers, None
+            if workers is None:
+                return
+            workers.users -= 1
+            if workers.users:
+                return
+            if _SHARED.get(self.jobs) is workers:
+                del _SHARED[self.jobs]
+        for pool in workers.pools:
             pool.shutdown(wait=False, cancel_futures=True)
-        self._pools = []
+
+    def _pools(self) -> list[ProcessPoolExecutor]:
+        """The workers, started for whoever asks first."""
+        with _LOCK:
+            if self._workers is None:
+                self._workers = _SHARED.setdefault(self.jobs, _Workers([]))
+                self._workers.users += 1
+            if not self._workers.pools:
+                self._workers.pools += [single_worker() for _ in range(self.jobs)]
+            return self._workers.pools
 
     def results(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
         """Places of the calls and what they gave, as they are done."""
@@ -61,9 +92,8 @@ class Runner:
             yield i, call.function(*call.arguments)
 
     def _elsewhere(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
-        if not self._pools:
-            self._pools = [single_worker() for _ in range(self.jobs)]
-        queues: list[deque[int]] = [deque() for _ in self._pools]
+        pools = self._pools()
+        queues: list[deque[int]] = [deque() for _ in pools]
         for i, call in enumerate(calls):
             queues[call.shot % self.jobs].append(i)
         flying: dict[Future[Any], tuple[int, int]] = {}
@@ -72,13 +102,17 @@ class Runner:
             own = queues[worker] or max(queues, key=len)
             if own:
                 i = own.popleft() if own is queues[worker] else own.pop()
-                flying[self._pools[worker].submit(calls[i].function, *calls[i].arguments)] = (i, worker)
+                flying[pools[worker].submit(calls[i].function, *calls[i].arguments)] = (i, worker)
 
         for worker in list(range(self.jobs)) * IN_FLIGHT:
             start(worker)
-        while flying:
-            ready, _ = wait(flying, return_when=FIRST_COMPLETED)
-            for future in ready:
-                i, worker = flying.pop(future)
-                start(worker)
-                yield i, future.result()
+        try:
+            while flying:
+                ready, _ = wait(flying, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    i, worker = flying.pop(future)
+                    start(worker)
+                    yield i, future.result()
+        finally:
+            for future in flying:  # whoever asked stopped, or a call failed
+                future.cancel()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import Remembered, content_hash
 from isetval.core.campaign import Light, Shot, of_patch
 from isetval.core.context import Context
 from isetval.core.errors import InputError
@@ -21,6 +22,7 @@ from isetval.scenes.pictures import HALO_PX, SpectralPicture, wavelength_nodes
 Float = NDArray[np.float64]
 ESF_STEP_PX = 1 / 16
 ESF_HALF_PX = 512
+SPREAD_BYTES = 100_000_000  # of edge spread functions: a hundred pupils; light, place and what does not blur ask for the same
 
 
 def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: Context) -> Scene:
@@ -279,16 +281,28 @@ class StraightEdge:
         fy, fx = sign * coarse * self.normal[0], sign * coarse * self.normal[1]
         otf = np.asarray(transfer(fx[None, :], fy[None, :], wavelength_nm[:, None]))
         otf = np.broadcast_to(otf, (wavelength_nm.size, coarse.size))
-        full = _interpolated(otf, coarse, frequency)
-        # the periodic line spread less its mean 1/P integrates to ESF - 1/2 - d/P
-        full[:, 1:] /= 2j * np.pi * frequency[1:]
-        full[:, 0] = 0
         position = (np.arange(n) - n // 2) * ESF_STEP_PX
-        wave = np.fft.fftshift(np.fft.irfft(full, n, axis=1), axes=1) / ESF_STEP_PX
-        esf = 0.5 + position / (2 * ESF_HALF_PX) + wave
-        esf -= (esf[:, :1] + esf[:, -1:] - 1) / 2  # a shifted (complex) transfer leaves a constant behind
+        key = content_hash(otf)
+        esf = _SPREADS.get(key)
+        if esf is None:
+            esf = _step_response(_interpolated(otf, coarse, frequency), frequency, position)
+            _SPREADS.put(key, esf)
         keep = np.abs(position) <= min(reach_px + 8, ESF_HALF_PX - 16)
         return position[keep], np.ascontiguousarray(esf[:, keep])
+
+
+_SPREADS = Remembered(SPREAD_BYTES)
+
+
+def _step_response(full: Any, frequency: Float, position: Float) -> Float:
+    """Edge spread functions (nodes, places) of transfer functions (nodes, frequencies), which are overwritten."""
+    # the periodic line spread less its mean 1/P integrates to ESF - 1/2 - d/P
+    full[:, 1:] /= 2j * np.pi * frequency[1:]
+    full[:, 0] = 0
+    wave = np.fft.fftshift(np.fft.irfft(full, position.size, axis=1), axes=1) / ESF_STEP_PX
+    esf = 0.5 + position / (2 * ESF_HALF_PX) + wave
+    esf -= (esf[:, :1] + esf[:, -1:] - 1) / 2  # a shifted (complex) transfer leaves a constant behind
+    return np.asarray(esf)
 
 
 def _interpolated(otf: Any, coarse: Float, frequency: Float) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -61,6 +62,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
             rows += _neighbors(shot, conditions, plane_statistics) if whole else []
             continue
         names = list(plane_statistics)
+        lines = _lines_of(shot, captures[0], plane)
         here, there = [], []
         clipped = shares[plane]
         if clipped > SATURATED:
@@ -77,7 +79,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
                 continue
             here.append(len(rows))
             there.append(names.index(key))
-            for label, part in _specimen_loadings(shot, captures[0], plane, plane_statistics, key).items():
+            for label, part in _specimen_loadings(shot, lines, plane_statistics, key).items():
                 shared.setdefault(label, []).append((len(rows), part))
             region = key.removeprefix("gradient_").removesuffix("_dn") if name == "gradient" else ""
             rows.append(
@@ -215,7 +217,23 @@ def _counts(shot: Shot, conditions: dict[str, Any], plane: str, statistics: Plan
     return rows
 
 
-def _specimen_loadings(shot: Shot, capture: Capture, plane: str, statistics: PlaneStatistics, key: str) -> dict[str, float]:
+@dataclass(frozen=True)
+class _Lines:
+    """Where the rows and columns of a plane lie on the sensor, in words, and their numbers."""
+
+    row: str
+    rows: int
+    column: str
+    columns: int
+
+
+def _lines_of(shot: Shot, capture: Capture, plane: str) -> _Lines:
+    view, (row, col), _ = plane_view(capture, plane)
+    row0, col0, height, width = shot.window or (0, 0, *capture.mosaic.shape)
+    return _Lines(f"{(row0 + row) % 2}:{row0},{height}", view.shape[0], f"{(col0 + col) % 2}:{col0},{width}", view.shape[1])
+
+
+def _specimen_loadings(shot: Shot, place: _Lines, statistics: PlaneStatistics, key: str) -> dict[str, float]:
     """Labels of the random numbers in a quantity of one plane, and how much of its sigma each makes.
 
     Pixels belong to their plane and, dark or lit, to another pattern (offsets, gains).  A row's offset is the
@@ -225,19 +243,17 @@ def _specimen_loadings(shot: Shot, capture: Capture, plane: str, statistics: Pla
     quantity = statistics[key]
     if not quantity.shared > 0:
         return {}
-    view, (row, col), _ = plane_view(capture, plane)
-    row0, col0, height, width = shot.window or (0, 0, *capture.mosaic.shape)
     name = key.removesuffix("_dn2").removesuffix("_dn")
     kind = name if name.startswith("fixed") else f"{shot.role} {name}"
     lines = {
-        f"row:{kind}:{(row0 + row) % 2}:{row0},{height}": _of_lines(key, "row", statistics, view.shape[0]),
-        f"column:{kind}:{(col0 + col) % 2}:{col0},{width}": _of_lines(key, "column", statistics, view.shape[1]),
+        f"row:{kind}:{place.row}": _of_lines(key, "row", statistics, place.rows),
+        f"column:{kind}:{place.column}": _of_lines(key, "column", statistics, place.columns),
     }
     whole = math.hypot(*lines.values())
     shrink = min(1.0, quantity.shared / whole) if whole > 0 else 1.0
     out = {label: shrink * part for label, part in lines.items() if part > 0}
     own = math.sqrt(max(quantity.shared**2 - (shrink * whole) ** 2, 0.0))
-    return out | {f"{shot.role}:{name}:{plane}:{window_label(shot)}": own} if own > 0 else out
+    return out | {f"{shot.role}:{name}:{statistics.plane}:{window_label(shot)}": own} if own > 0 else out
 
 
 def _of_lines(key: str, line: str, statistics: PlaneStatistics, count: int) -> float:

@@ -92,7 +92,9 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Qu
     """
     average = moments.average
     flat = _flatten(average, moments.pixel_variance, degree, relative)
-    limit = moments.outlier_limit(robust_sd(flat.residual))
+    limit = moments.outlier_limit(0.0)
+    if flat.highest > limit:  # else no spread of the others makes it an outlier
+        limit = moments.outlier_limit(robust_sd(flat.residual))
     bad = np.abs(flat.residual) > limit if flat.highest > limit else np.zeros((1, 1), bool)
     outliers = int(bad.sum())
     masked = 0 < outliers < MAX_OUTLIER_SHARE * average.size
@@ -207,6 +209,13 @@ def _parts(residual: NDArray[Any], degree: int, share: float) -> tuple[Float, Fl
     return mean_squares, dof, max(float(excess), 0.0)
 
 
+@lru_cache(maxsize=64)
+def _to_parts(rows: int, cols: int) -> Float:
+    """Total, row, column and pixel variances, (4, 3), from the mean squares of the rest, rows and columns."""
+    split = np.array([[1.0, 0, 0], [-1 / cols, 1 / cols, 0], [-1 / rows, 0, 1 / rows]])
+    return np.vstack([split.sum(axis=0), split[1], split[2], split[0]])
+
+
 def _assemble(
     parts: tuple[Float, Float, float], shape: tuple[int, int], removed: tuple[float, float], row_residue: Quantity
 ) -> tuple[list[Quantity], Float]:
@@ -214,8 +223,7 @@ def _assemble(
     mean_squares, dof, excess = parts
     rows, cols = shape
     residue, residue_sigma = removed
-    split = np.array([[1.0, 0, 0], [-1 / cols, 1 / cols, 0], [-1 / rows, 0, 1 / rows]])
-    to_parts = np.vstack([split.sum(axis=0), split[1], split[2], split[0]])
+    to_parts = _to_parts(rows, cols)
     values = to_parts @ mean_squares - np.array([residue + row_residue.value, row_residue.value, 0.0, residue])
     spread = 2 + np.array([excess, 0.0, 0.0])
     covariance = (to_parts * (spread * mean_squares**2 / dof)) @ to_parts.T

@@ -1,0 +1,141 @@
+"""What a diagnosis does once: workers, equal frames, replicas that hold, common random numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isetval import load_model, simulate
+from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.context import Context
+from isetval.core.scene import EdgeTarget, Spectrum
+from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
+from isetval.loop import shot_task
+from isetval.loop.prediction import Point, Predictor
+from isetval.loop.prepared import prepare
+from isetval.loop.problem import make_problem
+from isetval.loop.task_runner import Call, Runner
+from isetval.measure.campaign import measure_campaign
+from isetval.measure.noise.code_density import LEAST_CODES, LEAST_COUNTS, code_widths
+
+LIT = {"frames": 3, "light": "sphere", "window": (1464, 1968, 48, 48)}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(data_folder() / "pixel4a" / "camera.toml")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+    monkeypatch.setattr(shot_task, "_MEASURED", type(shot_task._MEASURED)(shot_task.WORKER_BYTES))
+
+
+@pytest.fixture(scope="module")
+def plan(model):
+    shots = (
+        Shot("long", "dark", exposure=Exposure(4.0), frames=5, window=LIT["window"]),
+        Shot("short", "dark", exposure=Exposure(0.001), frames=5, window=LIT["window"]),
+        Shot("flat", "flat", exposure=Exposure(0.01), **LIT),
+        Shot("edge", "edge", exposure=Exposure(0.01), target=EdgeTarget("edge", angle_deg=5.0), **{**LIT, "frames": 1}),
+    )
+    return Campaign("p", shots, lights={"sphere": Light("sphere", Spectrum.flat(0.004))}, sensor=model.sensor)
+
+
+def number(of):
+    import os
+
+    return os.getpid(), of
+
+
+def test_two_runners_share_their_workers_until_the_last_one_closes():
+    first, second = Runner(2), Runner(2)
+    calls = [Call(number, (i,), i) for i in range(6)]
+    try:
+        here = {pid for _, (pid, _) in first.results(calls)}
+        there = dict(second.results(calls))
+        first.close()
+        again = dict(second.results(calls))
+    finally:
+        first.close()
+        second.close()
+    assert here == {pid for pid, _ in there.values()} == {pid for pid, _ in again.values()}
+    assert [there[i][1] for i in range(6)] == list(range(6))
+    third = Runner(2)
+    try:
+        assert not here & {pid for _, (pid, _) in third.results(calls)}
+    finally:
+        third.close()
+
+
+def test_a_runner_that_is_left_halfway_leaves_nothing_in_the_others_way():
+    first, second = Runner(2), Runner(2)
+    calls = [Call(number, (i,), i) for i in range(8)]
+    try:
+        stopped = first.results(calls)
+        next(stopped)
+        stopped.close()
+        assert sorted(i for i, _ in second.results(calls)) == list(range(8))
+    finally:
+        first.close()
+        second.close()
+
+
+def test_equal_frames_are_measured_once_and_give_what_each_alone_gives(model, plan, monkeypatch):
+    """Steps of the converter are rounded to whole codes: half and quarter steps give the codes of whole ones, bit by bit."""
+    table = measure_campaign(simulate(model, plan, 1), summaries=False)
+    predictor = Predictor(plan, table)
+    points = [Point(model), *(Point(model.with_values({"quantization.step_dn": step})) for step in (0.5, 0.25, 1.0))]
+    counted = []
+    true = shot_task.measure_shots
+    monkeypatch.setattr(
+        shot_task, "measure_shots", lambda shot, many, **more: counted.append(len(many)) or true(shot, many, **more)
+    )
+    vectors = predictor.derivative_vectors(points)
+    parts = [predictor.parts(p, 101, derivative=True) for p in points]
+    alone = [[predictor._wanted[t.setup.shot.name].values(shot_task.blocks_of([t])[0]) for t in own] for own in parts]
+    for vector, own in zip(vectors, alone, strict=True):
+        for shot, values in zip(predictor.shots, own, strict=True):
+            np.testing.assert_array_equal(vector[predictor.rows[shot.name]], values[predictor.pick[shot.name]])
+    assert sum(counted) - 16 < 16  # sixteen of them, four points of four shots, are those of `alone`
+
+
+def test_replicas_hold_where_the_origin_moves_by_less_than_the_error_bars(model, plan):
+    """4 s of 0.5 e-/s more are many sigmas of a dark and none of what is exposed for 10 ms and less."""
+    with prepare(model, simulate(model, plan, 1)) as prepared:
+        moved = Point(model.with_values({"dark_current.rate_e_per_s": model.value("dark_current.rate_e_per_s") + 0.5}))
+        near, predictor = prepared.problem, prepared.problem.predictor
+        found, anew = make_problem(predictor, moved, near=[near]), make_problem(predictor, moved)
+        kept = {name for name, own in found.replicas.items() if own is near.replicas[name]}
+        assert kept == {"short", "flat"}  # an edge does not tell its noise, which a dark says has changed
+        sigma = np.sqrt(np.diag(anew.base.covariance))
+        off = np.abs(found.base.mean - anew.base.mean)[found.keep] / sigma[found.keep]
+        assert off.max() < 4 * np.sqrt(2 / found.base.replicas)  # two means of 16
+        rows = predictor.rows["long"]
+        np.testing.assert_array_equal(found.base.values[:, rows], anew.base.values[:, rows])
+
+
+def test_replicas_do_not_hold_where_the_noise_changes(model, plan):
+    with prepare(model, simulate(model, plan, 1)) as prepared:
+        louder = Point(model.with_values({"read_noise.sigma_e": 2 * model.value("read_noise.sigma_e")}))
+        found = make_problem(prepared.problem.predictor, louder, near=[prepared.problem])
+        kept = {name for name, own in found.replicas.items() if own is prepared.problem.replicas[name]}
+        assert kept <= {"flat"}  # whose own shot noise is wider; the edge is as bright but tells nothing of noise
+
+
+@pytest.mark.parametrize("kind", ["normal", "uniform"])
+def test_common_random_numbers_are_those_that_are_drawn(model, kind):
+    place = Context(model.sensor, (0, 0, 8, 10), shot="s", seed=3, mode="derivative").for_effect("read_noise", 0)
+    fresh = place.but(mode="capture").frame_numbers(kind, (8, 10))
+    for context in (place, place, replace(place)):
+        np.testing.assert_array_equal(context.frame_numbers(kind, (8, 10)), fresh)
+    assert not np.array_equal(place.but(frame=1).frame_numbers(kind, (8, 10)), fresh)
+    assert not np.array_equal(place.but(window=(8, 0, 8, 10)).frame_numbers(kind, (8, 10)), fresh)
+
+
+def test_code_widths_of_too_few_pixels_are_none_at_once():
+    even = np.full(200, LEAST_CODES * LEAST_COUNTS // 200)
+    assert code_widths(even) is None
+    assert code_widths(10 * even) is not None
