@@ -281,7 +281,7 @@ class StraightEdge:
         fy, fx = sign * coarse * self.normal[0], sign * coarse * self.normal[1]
         otf = np.asarray(transfer(fx[None, :], fy[None, :], wavelength_nm[:, None]))
         otf = np.broadcast_to(otf, (wavelength_nm.size, coarse.size))
-        position = (np.arange(n) - n // 2) * ESF_STEP_PX
+        position: Float = np.asarray((np.arange(n) - n // 2) * ESF_STEP_PX)
         key = content_hash(otf)
         esf = _SPREADS.get(key)
         if esf is None:
