@@ -41,7 +41,9 @@ html_theme_options = {
     "page_width": "1120px",
     "sidebar_width": "240px",
 }
-html_static_path = []
+html_static_path = ["static"]
+html_css_files = ["small_screens.css"]
+html_show_copyright = False
 html_extra_path = ["schema"]
 sphinx_gallery_conf = {
     "examples_dirs": str(HERE / "gallery"),

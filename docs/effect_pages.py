@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import textwrap
 from dataclasses import replace
 from pathlib import Path
@@ -42,8 +43,7 @@ def _index(known):
 
 def _page(cls, drawn):
     paragraphs = inspect.cleandoc(cls.__doc__ or "").split("\n\n")
-    text = "\n\n".join(textwrap.fill(" ".join(p.split()), WIDTH) for p in paragraphs)
-    lines = [f"# {cls.name}", "", "```text", *text.splitlines(), "```", ""]
+    lines = [f"# {cls.name}", "", *(line for p in paragraphs for line in (_prose(p), ""))]
     facts = [
         ("stage", f"{cls.stage}, place {cls.order:g}"),
         ("acts on", f"{cls.acts_on or 'the scene'}, gives {cls.gives or 'the scene'}"),
@@ -76,6 +76,12 @@ def _page(cls, drawn):
         ]
     lines += ["## Checked by", "", *(f"- `{path}`" for path in _tests(cls.name)), ""]
     return "\n".join(lines)
+
+
+def _prose(paragraph):
+    """A paragraph of a docstring as Markdown: its code stays code, its signs stay signs."""
+    parts = re.split(r"``?([^`]+)``?", " ".join(paragraph.split()))
+    return "".join(f"`{part}`" if i % 2 else re.sub(r"([\\*_{}\[\]<>#|$~^])", r"\\\1", part) for i, part in enumerate(parts))
 
 
 def _cell(text):

@@ -7,12 +7,14 @@ The CSV has a header with ``symbol`` and ``value``; the standard prescribes none
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 from isetval.core.errors import InputError
 from isetval.files.given_rows import GivenRow, GivenTable, numbers, table_lines
+from isetval.measure.noise.emva import EmvaRow
 
 QUANTITIES = {
     "k": ("conversion_gain", "DN/e-"),
@@ -58,6 +60,29 @@ def read(text: str, where: str) -> GivenTable:
 def quantities(text: str, where: str) -> dict[str, float]:
     """Every quantity of an XML or a CSV by its symbol, as written there."""
     return dict(_of_xml(text, where) if text.lstrip().startswith("<") else _of_csv(text, where))
+
+
+def to_xml(tables: Mapping[str, Sequence[EmvaRow]]) -> bytes:
+    """Tables by the name of their series as XML that `quantities` reads: a section for each series and plane.
+
+    An element bears the symbol; inside stand ``name``, ``value``, ``sigma`` and ``unit``, as in the reference implementation's
+    results (which know no sigma).  What could not be determined is left out.
+    """
+    root = ElementTree.Element("results")
+    for series, rows in tables.items():
+        for plane in dict.fromkeys(row.plane for row in rows):
+            section = ElementTree.SubElement(root, "section", {"series": series, "plane": plane})
+            for row in (row for row in rows if row.plane == plane and math.isfinite(row.value)):
+                element = ElementTree.SubElement(section, row.symbol)
+                for key, text in (
+                    ("name", row.name),
+                    ("value", repr(float(row.value))),
+                    ("sigma", repr(float(row.sigma))),
+                    ("unit", row.unit),
+                ):
+                    ElementTree.SubElement(element, key).text = text
+    ElementTree.indent(root)
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def _of_xml(text: str, where: str) -> Iterator[tuple[str, float]]:

@@ -28,13 +28,14 @@ SERIES_ROLES = ("dark", "flat")
 
 @dataclass(frozen=True)
 class Asked:
-    """What a person asks of the estimators: a method, one channel, a region of the capture, a stated gain."""
+    """What a person asks of the estimators: a method, one channel, a region, a stated gain, darks of the flats."""
 
     role: str | None = None
     method: str = ""
     channel: str = ""
     roi: RoiLike | None = None
     gain_dn_per_e: float | None = None
+    darks: tuple[Path, ...] = ()
 
     @property
     def patches(self) -> Mapping[str, Any]:
@@ -162,7 +163,9 @@ def measure_files(
 
 def try_files(paths: Sequence[Path], *, read: Reader, asked: Asked, progress: Progress | None = None) -> FileMeasurement:
     """As `measure_files`, with all files in ``skipped`` where none can be read."""
-    captures = FileCaptures({"": [str(path) for path in paths]}, lambda _, file: _cropped(read(Path(file)), asked))
+    captures = FileCaptures(
+        {"": [str(path) for path in (*paths, *asked.darks)]}, lambda _, file: _cropped(read(Path(file)), asked)
+    )
     measure = _series if asked.role in SERIES_ROLES else _one_by_one
     result = measure(paths, captures, asked, progress)
     if result.files and asked.role is not None and not any(m.family != "plane" for _, m in result.metrics):
@@ -181,7 +184,13 @@ def _cropped(capture: Capture, asked: Asked) -> Capture:
 
 
 def _settings(asked: Asked) -> dict[str, Any]:
-    more = {"method": asked.method, "channel": asked.channel, "roi": asked.roi, "gain_dn_per_e": asked.gain_dn_per_e}
+    more: dict[str, Any] = {
+        "method": asked.method,
+        "channel": asked.channel,
+        "roi": asked.roi,
+        "gain_dn_per_e": asked.gain_dn_per_e,
+    }
+    more["darks"] = [str(path) for path in asked.darks]
     return {"role": asked.role} | {name: value for name, value in more.items() if value}
 
 
@@ -267,10 +276,11 @@ def quality_note(capture: Capture, *, cut: bool = False) -> str:
 
 
 def _series(paths: Sequence[Path], captures: FileCaptures, asked: Asked, progress: Progress | None) -> FileMeasurement:
-    """Darks or flats: one campaign, in which each folder, sensor and ISO is a measurement session."""
+    """Darks or flats: one campaign, in which each folder, sensor and ISO is a session, which the darks asked for join."""
     files: dict[str, Mapping[str, Any]] = {}
     facts: list[FileFacts] = []
     verdicts: list[str] = []
+    paths = [*paths, *asked.darks]
     for i, path in enumerate(paths):
         capture = captures.look_ahead("", str(path))
         if capture is not None:
@@ -301,32 +311,41 @@ def _series(paths: Sequence[Path], captures: FileCaptures, asked: Asked, progres
 def series_shots(facts: Sequence[FileFacts], asked: Asked) -> tuple[Shot, ...]:
     """Shots of loose darks or flats: files of one folder, sensor, ISO, window, exposure and level are frames of one."""
     role = asked.role or "flat"
-    sessions: dict[Any, dict[Any, list[FileFacts]]] = {}
+    asked_for = set(map(str, asked.darks))
+    darks = [fact for fact in facts if fact.file in asked_for]
+    facts = [fact for fact in facts if fact.file not in asked_for]
+    sessions: dict[Any, list[FileFacts]] = {}
     for fact in facts:
-        series = sessions.setdefault((fact.folder, fact.scale), {})
-        series.setdefault((fact.window, fact.exposure.time_s), []).append(fact)
+        sessions.setdefault((fact.folder, fact.scale), []).append(fact)
     common = common_folder([fact.folder for fact in facts])
     shots: list[Shot] = []
-    for number, ((folder, (sensor, iso)), series) in enumerate(sessions.items(), 1):
-        several = len(sessions) > 1
-        label = f"{seen_from(folder, common)}, ISO {iso}, {sensor.rows} x {sensor.cols}" if several else "A"
-        for (window, _), same in series.items():
-            for group in by_level(same):
-                name = f"{role}_{len(shots) + 1:02d}"
-                shots.append(
-                    Shot(
-                        name,
-                        role,
-                        setup=f"series {number}",
-                        measurement_session=label,
-                        exposure=group[0].exposure,
-                        frames=len(group),
-                        window=window,
-                        files=tuple(f.file for f in group),
-                        **_options(asked),
-                    )
-                )
+    for number, ((folder, scale), series) in enumerate(sessions.items(), 1):
+        sensor, iso = scale
+        label = f"{seen_from(folder, common)}, ISO {iso}, {sensor.rows} x {sensor.cols}" if len(sessions) > 1 else "A"
+        own = Shot("", role, setup=f"series {number}", measurement_session=label, **_options(asked))
+        shots += _shots_like(own, series, len(shots))
+        dark = replace(own, role="dark", setup=f"darks of series {number}")
+        shots += _shots_like(dark, [fact for fact in darks if fact.scale == scale], len(shots))
     return tuple(shots)
+
+
+def _shots_like(own: Shot, series: Sequence[FileFacts], before: int) -> list[Shot]:
+    """Shots of a series by window, exposure and level, with the role and session of one of them, numbered on."""
+    exposures: dict[Any, list[FileFacts]] = {}
+    for fact in series:
+        exposures.setdefault((fact.window, fact.exposure.time_s), []).append(fact)
+    groups = [(window, group) for (window, _), same in exposures.items() for group in by_level(same)]
+    return [
+        replace(
+            own,
+            name=f"{own.role}_{number:02d}",
+            exposure=group[0].exposure,
+            frames=len(group),
+            window=window,
+            files=tuple(f.file for f in group),
+        )
+        for number, (window, group) in enumerate(groups, before + 1)
+    ]
 
 
 def file_reader(*, black: str = "auto", raw: Mapping[str, Any] | None = None, channel: str = "") -> Reader:

@@ -1,6 +1,7 @@
 """The numbers that people ask for first: full well, dynamic range, dark current in electrons, colour error, verdicts."""
 
 import math
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -97,6 +98,40 @@ def test_a_folder_of_pictures_whose_levels_are_said_with_the_command(run_json, t
     code, batch, err = run_json("measure", tmp_path, *said, "--jobs", 1, "--store", tmp_path / "store")
     assert code == 0, err
     assert len(batch["files"]) == 2
+
+
+def test_darks_and_flats_make_an_emva_table_as_xml_in_one_command(run, run_json, tmp_path):
+    flats = _series(tmp_path / "flats", (0.001, 0.01, 0.02, 0.04, 0.08))
+    (tmp_path / "darks").mkdir()
+    rng = np.random.default_rng(9)
+    for i in range(4):
+        codes = np.rint(BLACK + GAIN * READ_E * rng.standard_normal((64, 64))).astype(int)
+        isetval.write_dng(tmp_path / "darks" / f"{i}.dng", isetval.Capture.from_array(codes, time_s=0.001, iso=100))
+    words = ("measure", flats, "--role", "flat", "--dark", tmp_path / "darks")
+    code, result, err = run_json(*words)
+    assert code == 0, err
+    assert len(result["files"]) == 14
+    code, _, err = run(*words, "-o", tmp_path / "emva.xml")
+    assert code == 0, err
+    root = ElementTree.fromstring((tmp_path / "emva.xml").read_text())
+    assert [section.get("plane") for section in root] == ["R", "Gr", "Gb", "B"]
+    for section in root:
+        for symbol, planted in (("K", GAIN), ("sigma_d", READ_E)):
+            value, sigma = (float(section.find(symbol).findtext(key)) for key in ("value", "sigma"))
+            assert abs(value - planted) < 4 * sigma, (symbol, section.get("plane"))
+        assert section.find("DSNU1288") is not None  # nothing without darks says it
+    geometry = ("--rows", 64, "--cols", 64, "--pixel-um", 1, "--bits", 10)
+    assert run("cameras", "import", tmp_path / "emva.xml", "-o", tmp_path / "camera.toml", *geometry)[0] == 0
+    model = isetval.load_model(tmp_path / "camera.toml")
+    assert model.effect("conversion_gain").gain_dn_per_e == pytest.approx(float(root[-1].find("K").findtext("value")))
+    for wrong in (
+        ("measure", flats, "--dark", tmp_path / "darks"),
+        (*words, "--jobs", 1),
+        ("measure", flats, "-o", tmp_path / "x.xml"),
+    ):
+        code, _, err = run(*wrong)
+        assert code == 3
+        assert "--role flat" in err
 
 
 def test_the_dark_current_is_told_in_electrons_where_the_gain_is_known():

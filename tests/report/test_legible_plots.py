@@ -82,3 +82,9 @@ def test_suspects_that_chance_cannot_explain_are_sorted_by_what_they_explain():
     rows = candidates({"candidates": [suspect("a", 50.0, 0.0), suspect("b", 9.0, 0.01), suspect("c", 5000.0, 0.0)]})
     assert [(row["name"], row["p"]) for row in rows] == [("c", "< 1e-300"), ("a", "< 1e-300"), ("b", "0.01")]
     assert chance_words(1e-120) == "1e-120"
+
+
+def test_the_pattern_of_one_level_is_drawn_from_nothing():
+    axis = noise.plot_fixed_pattern(isetval.measure.photon_transfer(_flats((400.0,)), dark=_flats((0.0,))))
+    assert axis.get_xlim()[0] == axis.get_ylim()[0] == 0
+    assert all(axis.get_ylim()[1] > np.max(line.get_ydata()) for line in axis.lines)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from isetval.app.cli.console import Console
-from isetval.app.cli.outcome import BAD_INPUT, FINE, INTERNAL, MISSING_PART, PAGE_SUFFIXES, Outcome
+from isetval.app.cli.outcome import BAD_INPUT, FINE, INTERNAL, MEASURED_SUFFIXES, MISSING_PART, Outcome
 from isetval.core.jsonable import plain
 
 __all__ = ["main"]
@@ -170,7 +170,7 @@ def _write(output: str, result: dict[str, Any], outcome: Outcome) -> None:
         write_whole(output, _csv(outcome))
         return
     suffix = Path(output).suffix.lower()
-    if outcome.page is not None and suffix in PAGE_SUFFIXES:
+    if outcome.page is not None and suffix in MEASURED_SUFFIXES:
         write_whole(output, outcome.page(suffix, result))
         return
     import json

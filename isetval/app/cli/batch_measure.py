@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isetval.app.cli.console import Console
-from isetval.app.cli.outcome import BAD_INPUT, FINE, PAGE_SUFFIXES, Outcome
+from isetval.app.cli.outcome import BAD_INPUT, FINE, MEASURED_SUFFIXES, Outcome
 
 if TYPE_CHECKING:
     from isetval.app.batch.run import Batch
@@ -86,7 +86,7 @@ def measure_batch(args: argparse.Namespace, console: Console, raw: Mapping[str, 
 def _refuse_pages(args: argparse.Namespace) -> None:
     from isetval.core.errors import InputError
 
-    if args.curves or (args.output is not None and Path(args.output).suffix.lower() in PAGE_SUFFIXES):
+    if args.curves or (args.output is not None and Path(args.output).suffix.lower() in MEASURED_SUFFIXES):
         raise InputError(
             "pictures and curves are not made of many files at once; write .json or .csv here, "
             "and measure the few files of interest without --jobs, --scheduler, --store and --isolate"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from isetval.app.cli.batch_measure import add_batch_options, is_batch, measure_batch
 from isetval.app.cli.console import Console
-from isetval.app.cli.outcome import BAD_INPUT, FINE, OUTSIDE_LIMITS, PAGE_SUFFIXES, Outcome
+from isetval.app.cli.outcome import BAD_INPUT, FINE, MEASURED_SUFFIXES, OUTSIDE_LIMITS, Outcome
 
 if TYPE_CHECKING:
     from isetval.app.measurement_sheets import Note
@@ -41,6 +41,9 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     )
     p.add_argument("--role", choices=("dark", "flat", "edge", "chart", "disk", "scene"), help="what the files show")
     p.add_argument(
+        "--dark", metavar="PATH", type=Path, nargs="+", default=[], help="darks (files, folders) of the flats of --role flat"
+    )
+    p.add_argument(
         "--method",
         default="",
         help="another method than the estimators' own: iso12233:2000, iso12233:2017, iso12233:2023, lyu2022",
@@ -65,7 +68,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     )
     p.add_argument("--open", action="store_true", help="open the page that -o wrote")
     add_batch_options(p)
-    p.set_defaults(handler=measure, writes_result=True, suffixes=PAGE_SUFFIXES)
+    p.set_defaults(handler=measure, writes_result=True, suffixes=MEASURED_SUFFIXES)
 
 
 def raw_shape(text: str) -> tuple[int, int]:
@@ -95,8 +98,13 @@ def shard(text: str) -> tuple[int, int]:
 def measure(args: argparse.Namespace, console: Console) -> Outcome:
     """Measure what the paths hold."""
     from isetval.app.limits import load_limits
+    from isetval.core.errors import InputError
 
     limits = load_limits(args.limits) if args.limits else ()
+    if args.dark and (args.role != "flat" or is_batch(args)):
+        raise InputError(
+            "--dark names the darks of --role flat, and goes without --jobs, --scheduler, --shard, --store and --isolate"
+        )
     raw = raw_settings(args)
     if args.regions is not None:
         outcome = _drawn_regions(args, console)
@@ -119,7 +127,7 @@ def _drawn_regions(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.app.cli.region_commands import measure_regions
     from isetval.core.errors import InputError
 
-    paged = args.output is not None and Path(args.output).suffix.lower() in PAGE_SUFFIXES
+    paged = args.output is not None and Path(args.output).suffix.lower() in MEASURED_SUFFIXES
     given = {"--roi": args.roi, "--role": args.role, "--curves": args.curves, "--shard": args.shard, "a page": paged}
     if named := [name for name, value in given.items() if value]:
         raise InputError(f"--regions measures edges, patches and lines as drawn; leave out {', '.join(named)}")
@@ -134,12 +142,14 @@ def _with_pages(
     half_diagonal_mm: float = 0.0,
 ) -> Outcome:
     """The outcome with its pictures, where a page or the curves are asked for."""
-    pictured = args.output is not None and Path(args.output).suffix.lower() in PAGE_SUFFIXES
+    pictured = args.output is not None and Path(args.output).suffix.lower() in MEASURED_SUFFIXES
     if not (pictured or args.curves):
         return outcome
     console.say("drawing what was measured")
     remarks: list[str] = []
     sheets = draw(remarks.append)
+    if str(args.output).lower().endswith(".xml"):
+        return replace(outcome, page=lambda suffix, whole: _emva_xml(args.output, sheets))
     curves = {sheet.title: dict(sheet.curves) for sheet in sheets if sheet.curves}
     result = {**outcome.result, "curves": curves, "notes": [*outcome.result["notes"], *remarks]}
     lines = [*outcome.lines, *(f"note: {remark}" for remark in remarks)]
@@ -154,6 +164,20 @@ def _with_pages(
         return measurement_html(whole, tables, sheets).encode("utf-8", "backslashreplace")
 
     return replace(outcome, result=result, lines=lines, page=page)
+
+
+def _emva_xml(output: str, sheets: Sequence[Sheet]) -> bytes:
+    """The tables of EMVA 1288 of every series of flats."""
+    from isetval.core.errors import InputError
+    from isetval.files.emva_datasheet import to_xml
+
+    tables = {sheet.title.removesuffix(": photon transfer"): sheet.emva for sheet in sheets if sheet.emva}
+    if not tables:
+        raise InputError(
+            f"{output}: a table of EMVA 1288 needs a series of flats of two frames and more at several levels (and darks); none "
+            "was found; name a campaign (isetval campaign init FOLDER), or a folder of flats with --role flat"
+        )
+    return to_xml(tables)
 
 
 def is_campaign(path: Path) -> bool:
@@ -275,10 +299,11 @@ def _measure_files(args: argparse.Namespace, console: Console, raw: Mapping[str,
     if args.shard:
         part, parts = args.shard
         paths = paths[part - 1 :: parts]
+    darks = tuple(raw_files(args.dark, said=levels_are_said(raw)))
     single = len(paths) == 1
     black = args.black or "auto"
-    console.say(f"measuring {len(paths)} files")
-    asked = Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e)
+    console.say(f"measuring {len(paths) + len(darks)} files")
+    asked = Asked(args.role, args.method, args.channel, args.roi, args.gain_dn_per_e, darks)
     read = file_reader(black=black, raw=raw, channel=args.channel)
     found = measure_files(paths, read=read, asked=asked, progress=console.progress)
     rows = [metric_row(m, m.sigma, file=file) for file, m in found.metrics]

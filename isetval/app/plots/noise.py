@@ -64,8 +64,8 @@ def plot_fixed_pattern(result: PhotonTransfer, ax: Axes | None = None) -> Axes:
     if marks.size and marks.min() > 0 and np.all(marks.max(axis=0) > LOG_SPAN * marks.min(axis=0)):
         axis.set(xscale="log", yscale="log")
         plain_log(axis, "x", "y")
-    elif len(marks) and np.all(np.ptp(marks, axis=0) == 0):  # one level: from nothing to twice of it
-        axis.set(xlim=(0, 2 * marks[0, 0]), ylim=(0, 2 * marks[0, 1]))
+    elif len(marks) and np.ptp(marks[:, 0]) == 0:  # one level: from nothing to twice of it
+        axis.set(xlim=(0, 2 * marks[0, 0]), ylim=(0, 2 * marks[:, 1].max()))
     return axis
 
 
@@ -93,7 +93,7 @@ def _residual(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
 
 def _pattern(axis: Axes, transfer: PlaneTransfer, color: str) -> None:
     levels = [v for v in transfer.levels if v.used and v.fixed is not None and v.fixed.pixel.value > 0]
-    mean = np.array([v.mean_dn for v in levels])
+    mean = np.array([v.pattern_mean_dn for v in levels])
     axis.plot(mean, [np.sqrt(v.fixed.pixel.value) for v in levels if v.fixed is not None], "o", color=color, markersize=4)
     if np.isfinite(transfer.prnu.value):
         axis.plot(

@@ -20,7 +20,7 @@ from isetval.core.jsonable import plain
 from isetval.core.quantity import Quantity
 from isetval.core.scene import ChartTarget
 from isetval.measure import chart, dark, emva1288, find_edges, photon_transfer, relative_illumination, sfr
-from isetval.measure.noise.emva import saturated
+from isetval.measure.noise.emva import EmvaRow, saturated
 from isetval.measure.noise.transfer_result import PlaneTransfer
 
 if TYPE_CHECKING:
@@ -40,13 +40,14 @@ QUOTED = ("K", "sigma_d", "mu_e.sat", "DR", "SNR_max", "LE_min", "LE_max", "PRNU
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """One page of a measurement: title, table (first row the header), remarks, figure, curves for the JSON."""
+    """One page of a measurement: title, table (first row the header), remarks, figure, curves for the JSON, EMVA 1288 table."""
 
     title: str
     table: Rows
     remarks: Sequence[str]
     figure: Figure
     curves: Mapping[str, Any] = field(default_factory=dict)
+    emva: Sequence[EmvaRow] = ()
 
 
 def edge_sheets(capture: Capture, name: str, *, channel: str = "G") -> list[Sheet]:
@@ -191,7 +192,8 @@ def transfer_sheet(
         ]
         for plane, transfer in result.items()
     }
-    return Sheet(f"{name}: photon transfer", table, remarks, noise.transfer_figure(result), {"photon_transfer": plain(curves)})
+    figure = noise.transfer_figure(result)
+    return Sheet(f"{name}: photon transfer", table, remarks, figure, {"photon_transfer": plain(curves)}, table_rows)
 
 
 def _bound(symbol: str, transfer: PlaneTransfer) -> str:

@@ -222,7 +222,7 @@ def _patterns(plane: str, t: PlaneTransfer) -> Iterable[EmvaRow]:
         ("column", level.fixed.column),
         ("pixel", level.fixed.pixel),
     ):
-        q = root(part.scaled((100 / level.mean_dn) ** 2, "%^2"), "%")
+        q = root(part.scaled((100 / level.pattern_mean_dn) ** 2, "%^2"), "%")
         symbol = "PRNU1288" + ("" if name == "total" else f".{name}")
         yield _row(plane, f"photo-response non-uniformity, {name}", symbol, q, note)
     yield _row(plane, "photo-response non-uniformity, dark pattern removed", "PRNU.pixel.all_levels", t.prnu, "all levels")

@@ -32,7 +32,11 @@ PATTERN_FROM = 0.1  # of the brightest level: patterns are weighted with the fou
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One light level of one plane; means above the measured black, DN and DN^2."""
+    """One light level of one plane; means above the measured black, DN and DN^2.
+
+    ``pattern_mean_dn`` is the mean of the pixels that ``fixed`` was taken from: the middle of a very large plane, which a lens's
+    fall-off leaves brighter than the whole.
+    """
 
     time_s: float | None
     frames: int
@@ -54,6 +58,7 @@ class Level:
     rounded: bool = False
     used: bool = True
     reason: str = ""
+    pattern_mean_dn: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,22 +162,13 @@ def with_pattern(level: Level, setups: Setups, plane: str, roi: RoiLike | None, 
     """The level with its fixed pattern, measured now if it was not."""
     if level.fixed is not None:
         return level
-    whole = [plane_view(c, plane, roi)[0] for c in setups.frames(level.numbers)]
-    moments = frame_moments([central(view) for view in whole], black_dn)
-    return replace(level, fixed=_pattern(moments, level.row_temporal, level.mean_dn, whole[0].size))
+    moments = frame_moments([central(plane_view(c, plane, roi)[0]) for c in setups.frames(level.numbers)], black_dn)
+    return replace(level, fixed=_pattern(moments, level.row_temporal), pattern_mean_dn=float(moments.average.mean()))
 
 
-def _pattern(moments: Moments, row: Quantity, mean_dn: float, pixels: int) -> FixedPattern:
-    """The pattern at the level's mean: of a very large plane its middle was looked at, which fall-off leaves brighter."""
+def _pattern(moments: Moments, row: Quantity) -> FixedPattern:
     fixed = decompose(moments, surface_degree(moments.shape), relative=True, row_temporal=replace(row, value=max(row.value, 0.0)))
-    fixed = replace(fixed, surface=np.empty((0, 0)))
-    middle_dn = float(moments.average.mean())
-    if moments.average.size == pixels or middle_dn <= 0:
-        return fixed
-    scale = (mean_dn / middle_dn) ** 2
-    parts = {name: getattr(fixed, name).scaled(scale, "DN^2") for name in ("total", "row", "column", "pixel")}
-    down, across = (q.scaled(scale, "DN^2") for q in fixed.neighbours)
-    return replace(fixed, **parts, neighbours=(down, across))
+    return replace(fixed, surface=np.empty((0, 0)))
 
 
 def _defects(moments: Moments, known: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
@@ -226,7 +222,8 @@ def _level(
         frame_scatter=frame,
         clipped_high=sums.clipped_high,
         clipped_low=sums.clipped_low,
-        fixed=_pattern(moments, row, float(means.mean()), views[0].size) if moments is not None else None,
+        fixed=_pattern(moments, row) if moments is not None else None,
+        pattern_mean_dn=float(moments.average.mean()) if moments is not None else math.nan,
         white_dn=white,
         numbers=(),
     )
@@ -278,7 +275,7 @@ def prnu_percent(series: LevelSeries, dark: DarkLevel | None, response: Response
     offset = dark.dsnu_variance if dark is not None and dark.frames > 1 else Quantity(0.0, 0.0, "DN^2")
     if not used:
         return Quantity(math.nan, math.nan, "%")
-    mean = np.array([level.mean_dn for level in used])
+    mean = np.array([level.pattern_mean_dn for level in used])
     square = mean**2
     if response is not None:
         linear = response.linear(mean)
