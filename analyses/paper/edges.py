@@ -86,6 +86,11 @@ def noise(curve: Curve) -> float:
     return float(np.sqrt(max(seen, 0.0) / (6 - 8 * HAMMING[1] + 2 * HAMMING[2])))
 
 
+def _noise_words(curve: Curve) -> str:
+    sigma, reading = noise(curve), float(np.median(curve.reading))
+    return f"{sigma:.3f}" if sigma > 0 else f"below that of reading the figure, {reading:.3f}"
+
+
 def covariance(curve: Curve) -> np.ndarray:
     """Of the points of a curve, (n, n): noise under the window, growing up to `RISE_CY_MM`, and the readings of the figure.
 
@@ -260,7 +265,7 @@ def run(data: Path, work: Path) -> Result:
                 measured=f"{truth:.1f} +- {float(summary[key]['mtf50_err']):.1f}",
                 ours=f"{mine:.1f}; {last.gap[key]:.3f}",
                 missing="pupil of half the width, film not conjugate, no diffraction, no crosstalk",
-                sure=f"one common set of parameters for all four curves; noise of a point {noise(measured[key]):.3f}",
+                sure=f"one common set of parameters for all four curves; noise of a point {_noise_words(measured[key])}",
                 target=f"rms < published, MTF50 within {WITHIN:.0%}",
                 met=met,
                 numbers={"mtf50_cy_mm": mine, "rms": last.gap[key], "published_rms": printed.gap[key]},

@@ -35,6 +35,7 @@ from analyses.paper.common import (
     write_rows,
 )
 from isetval.core.campaign import Nuisance
+from isetval.loop import Diagnosis
 
 PLACES = ("left", "middle", "right")
 PLANES = (("R", "mean_r", "dv_r"), ("Gr", "mean_g", "dv_g"), ("B", "mean_b", "dv_b"))
@@ -43,8 +44,11 @@ MEAN_DN, LINE_DN = 0.5, 1.0  # README of the data: errors of a patch's mean and 
 LINE_UM = 6.0  # half the width of a black line's middle
 WITHIN = 0.02
 PAINT = 0.035  # reflectance of the black paint of the scene
+SCENE = (("black_reflectance", "rho_b"), ("interreflection", "bounce"))
+LIMIT_S = 300.0  # of a diagnosis that names its first effect within a minute; what else it looks at is told in the page
 BRIGHT_DN = 20.0  # greys whose relative error is that of the light, not of the black level
 LIGHTS = ("A", "CWF", "Day")
+BOUNCES = 6
 TILT_DEG = 5.0  # of a chart, to see what a degree does
 UNPUBLISHED: tuple[tuple[str, dict[str, Any]], ...] = (
     ("the lamp 30 mm nearer to the green wall", {"light_place_m": (0.03, 0.0)}),
@@ -62,15 +66,30 @@ def prepared(data: Path, work: Path) -> Path:
     qe_file(data, folder / "qe.csv")
     shutil.copy(data / "light_spd.csv", folder / "light.csv")
     shutil.copy(data / "surface_reflectance.csv", folder / "papers.csv")
-    _greys(data, folder / "greys.csv")
+    spread = _greys(data, folder / "greys.csv")
     for place in PLACES:
         names = ("name", "value", "sigma", "unit", "channel", "patch")
-        write_rows(folder / f"{place}.csv", names, measured_rows(data, f"{place}_measured"))
+        rows = measured_rows(data, f"{place}_measured")
+        write_rows(folder / f"{place}.csv", names, rows)
+        np.savetxt(folder / f"{place}_covariance.csv", covariance(rows, spread), delimiter=",")
     return folder
 
 
-def _greys(data: Path, out: Path) -> None:
-    """The six flattest reflectances of the chart, brightest first, mean over the three lights they were measured under."""
+def covariance(rows: list[tuple[str, float, float, str, str, str]], spread: dict[str, float]) -> np.ndarray:
+    """Of the means of one place, (rows, rows): readings of the figure, and reflectances of the greys, the same in all planes.
+
+    The model's greys are means of three measurements, under three lights, that differ by several percent.
+    """
+    patch, value = [r[5] for r in rows], np.array([r[1] * spread.get(r[5], 0.0) for r in rows])
+    same = np.equal.outer(patch, patch)
+    return np.diag([r[2] ** 2 for r in rows]) + np.where(same, np.outer(value, value), 0.0)
+
+
+def _greys(data: Path, out: Path) -> dict[str, float]:
+    """The six flattest reflectances of the chart, brightest first, mean over the three lights they were measured under.
+
+    Returns the standard error of each mean, relative, by its name in the scene.
+    """
     tables = [np.genfromtxt(data / f"mcc_mini_reflectance_ill{light}.csv", delimiter=",", names=True) for light in LIGHTS]
     nm = tables[0]["wavelength_nm"]
     mean = {n: np.mean([t[n] for t in tables], axis=0) for n in tables[0].dtype.names if n != "wavelength_nm"}
@@ -79,6 +98,9 @@ def _greys(data: Path, out: Path) -> None:
     ordered = sorted(flattest, key=lambda n: -mean[n][seen].mean())
     names = ("wavelength_nm", *(f"grey_{i}" for i in range(1, 7)))
     write_rows(out, names, zip(nm, *(mean[n] for n in ordered), strict=True))
+    levels = np.array([[t[n][seen].mean() for t in tables] for n in ordered])
+    error = levels.std(axis=1, ddof=1) / levels.mean(axis=1) / np.sqrt(len(LIGHTS))
+    return dict(zip(names[1:], error.tolist(), strict=True))
 
 
 def measured_rows(data: Path, profile: str) -> list[tuple[str, float, float, str, str, str]]:
@@ -131,19 +153,15 @@ def pulls(means: dict) -> tuple[float, float]:
     return left, right
 
 
-def with_lines(plain: dict, truth: dict) -> tuple[dict, float, float]:
-    """Means with the reflectance that the black lines ask for, that reflectance, and its sigma.
-
-    Light from a small black surface is linear in its reflectance and none without one; what it sends around once more, and
-    what the lens blurs into it from the patches, is left out (a hundredth of the patches' light).
-    """
-    keys = [k for k in plain if k[1].startswith("black")]
-    made, wanted = np.array([plain[k] for k in keys]), np.array([truth[k] for k in keys])
-    factor = float(made @ wanted / (made @ made))
-    rest = wanted - factor * made
-    sigma = float(np.sqrt(rest @ rest / (len(keys) - 1) / (made @ made)))
-    means = {k: factor * v if k in keys else v for k, v in plain.items()}
-    return means, factor * PAINT, sigma * PAINT
+def lines_asked(model: isetval.CameraModel, campaign: isetval.Campaign) -> tuple[Diagnosis, dict[str, tuple[float, float]]]:
+    """What `diagnose` names in the three profiles, and what black and second bounce would be: fitted where named, else linear."""
+    found = isetval.diagnose(model, campaign, with_next_captures=False, limit_s=LIMIT_S)
+    asked = {}
+    for name, key in SCENE:
+        linear = next(row.estimate for row in found.candidates if row.name == name)
+        named = next((e.parameters for e in found.effects if e.name == name), None)
+        asked[name] = (named[key].value, named[key].sigma) if named else linear[key]
+    return found, asked
 
 
 def ratio(means: dict, place: str, patch: str = "grey_1", over: str = "Gr", under: str = "R") -> float:
@@ -164,11 +182,9 @@ def run(data: Path, work: Path) -> Result:
     _, _, gains = rung(with_gain, replace(middle, nuisances=(*middle.nuisances, *free)))
     fitted = {k.split("@")[0]: v for k, v in gains.items() if k.startswith("channel_gain")}
     mended = replace(with_gain.with_values({k: v[0] for k, v in fitted.items()}), name="gains_of_the_middle")
-    gained, _, unknowns = rung(mended, campaign)
-    means = {(p, row[5], row[4]): row[1] for p in PLACES for row in measured_rows(data, f"{p}_measured")}
-    ours, lines, lines_sigma = with_lines(gained, means)
-    bright = [k for k in ours if k[1].startswith("grey") and means[k] > BRIGHT_DN]
-    ours_error = rms(np.array([ours[k] / means[k] - 1 for k in bright]))
+    diagnosis, asked = lines_asked(with_gain, replace(campaign, nuisances=(*campaign.nuisances, *free)))
+    darker = mended.add(isetval_effect("black_reflectance").changed(rho_b=asked["black_reflectance"][0]))
+    ours, ours_error, unknowns = rung(darker, campaign)
     truth = {p: _digitised(data, f"{p}_measured") for p in PLACES}
     theirs = {p: _digitised(data, f"{p}_simulated") for p in PLACES}
     level = {k.split(":")[-1]: v for k, v in unknowns.items() if k.startswith("light_level")}
@@ -176,7 +192,8 @@ def run(data: Path, work: Path) -> Result:
     turned, _, _ = rung(model, tilted(campaign, "right"))
     rooms = {words: pulls(rung(model, rendered_with(campaign, **change))[0]) for words, change in UNPUBLISHED}
     claims.append(_walls_pull(truth, theirs, ours, (ratio(turned, "right") - ratio(plain, "right")) / TILT_DEG, rooms))
-    claims += _others(truth, theirs, ours, fitted, level, (lines, lines_sigma))
+    claims += _others(truth, theirs, ours, fitted, level)
+    claims.insert(-1, _lines(diagnosis, asked))
     three = lambda means: " / ".join(f"{ratio(means, p):.3f}" for p in PLACES)  # noqa: E731
     ladder = (
         ("rung", "G/R of the white patch, left / middle / right", "greys above 20 DN, relative rms"),
@@ -259,8 +276,27 @@ def _walls_pull(truth: dict, theirs: dict, ours: dict, a_degree: float, rooms: d
     )
 
 
-def _others(truth: dict, theirs: dict, ours: dict, fitted: dict, level: dict, dark: tuple[float, float]) -> list[Claim]:
-    """Blue over green, the black lines, and the free scales."""
+def _lines(found: Diagnosis, asked: dict[str, tuple[float, float]]) -> Claim:
+    """The black lines and the second bounce, as the diagnosis of the three profiles has them."""
+    (black, sigma), (bounce, bounce_sigma) = (asked[name] for name, _ in SCENE)
+    second = next(row for row in found.candidates if row.name == "interreflection")
+    named = ", ".join(f"{e.words} (posterior {e.posterior:.2f})" for e in found.effects) or "nothing"
+    return Claim(
+        claim="black lines of the chart ('slightly more reflective')",
+        published="zero reflectance",
+        measured="above the black level everywhere",
+        ours=f"{PAINT + black:.3f} +- {sigma:.3f} reflectance, {PAINT} of it the scene's black paint; named: {named}",
+        missing="reflectance of the lines; veiling glare and gloss look alike here",
+        sure=f"diagnosis of the three profiles, gains and scales free: {found.verdict}"
+        + (f", {found.leftover}" if found.leftover else "")
+        + f". Light from walls beyond the render's {BOUNCES} bounces, over it: {bounce:+.2f} +- {bounce_sigma:.2f}"
+        + (f", posterior {second.posterior:.2f}" if second.posterior is not None else ""),
+        numbers={"black_reflectance": PAINT + black, "bounce": bounce, "bounce_sigma": bounce_sigma},
+    )
+
+
+def _others(truth: dict, theirs: dict, ours: dict, fitted: dict, level: dict) -> list[Claim]:
+    """Blue over green, and the free scales."""
     blue = {p: ratio(ours, p, over="B", under="Gr") for p in PLACES}
     spread = [v for v, _ in level.values()]
     return [
@@ -272,15 +308,6 @@ def _others(truth: dict, theirs: dict, ours: dict, fitted: dict, level: dict, da
             missing="gains: " + ", ".join(f"{k.split('.')[1]} {v:+.3f} +- {s:.3f}" for k, (v, s) in fitted.items()),
             sure="the same few percent at all places: sensor or lamp spectrum, which these rows do not tell apart",
             numbers={"d_blue": fitted["channel_gain.d_blue"][0], "d_red": fitted["channel_gain.d_red"][0]},
-        ),
-        Claim(
-            claim="black lines of the chart ('slightly more reflective')",
-            published="zero reflectance",
-            measured="above the black level everywhere",
-            ours=f"{dark[0]:.3f} +- {dark[1]:.3f} reflectance",
-            missing="reflectance of the lines; veiling glare and gloss look alike here",
-            sure=f"fitted to all 15 lines in three colours; the scene's black paint has {PAINT}",
-            numbers={"black_reflectance": dark[0]},
         ),
         Claim(
             claim="one free scale for each position",

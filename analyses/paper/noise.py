@@ -74,6 +74,7 @@ def run(data: Path, work: Path) -> Result:
     both = isetval.compare([table, code], campaign)
     mean, low, high, _ = envelope(data, "measured")
     ours = both.table[both.table["model"] == "table"]["simulated"].to_numpy(float)
+    row_z = both.table[both.table["model"] == "table"]["z"].to_numpy(float)
     z2 = {m: float(np.sum(both.table[both.table["model"] == m]["z"].to_numpy(float) ** 2)) for m in ("table", "code")}
     inside = (ours >= low - READING_DN) & (ours <= high + READING_DN)
     kept = replace(campaign, nuisances=())
@@ -93,7 +94,7 @@ def run(data: Path, work: Path) -> Result:
             measured="envelope of 500 patches, +- 0.25 DN",
             ours=f"{inside.sum()} of {mean.size} inside; mean-square z {both.ladder[0].mean_square_z:.2f}",
             missing=f"nothing that this cloud shows; gain {gain:+.4f} +- {gain_sigma:.4f} DN/e- from the table's",
-            sure=_outside(mean, low, high, inside),
+            sure=_outside(data, ours, row_z, inside),
             target="inside the measured envelope at all levels",
             met=bool(inside.all()),
             numbers={"inside": float(inside.sum()), "levels": float(mean.size), "mean_square_z": both.ladder[0].mean_square_z},
@@ -131,13 +132,33 @@ def run(data: Path, work: Path) -> Result:
     )
 
 
-def _outside(mean: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np.ndarray) -> str:
-    """Where the expectation leaves the measured cloud, and how wide that is there."""
-    words = "middle of the cloud known to 8 % (single patches cannot be read)"
+def _outside(data: Path, ours: np.ndarray, z: np.ndarray, inside: np.ndarray) -> str:
+    """Where the expectation leaves the measured cloud, by how much, and whether the drawing or the model is wrong there.
+
+    Markers of the published simulation are painted over the measured ones (README of the data): where the highest measured
+    one that is to be seen lies below the lowest simulated one, the cloud's upper edge is hidden, and its middle with it.
+    """
+    mean, low, high, _ = envelope(data, "measured")
+    at, painted_low, painted_high, _ = envelope(data, "simulated")
+    over_low, over_high = np.interp(mean, at, painted_low), np.interp(mean, at, painted_high)
+    hidden = high < over_low
+    known = (
+        f"middle of the cloud known to 8 % (single patches cannot be read); inside, mean-square z {np.mean(z[inside] ** 2):.2f}"
+    )
+    said = [known]
     for i in np.flatnonzero(~inside):
-        words += f"; outside at {mean[i]:g} DN, where the cloud is {high[i] - low[i]:.1f} DN wide between neighbours of "
-        words += f"{np.mean((high - low)[[max(i - 1, 0), min(i + 1, mean.size - 1)]]):.1f}: few patches there"
-    return words
+        beside = [j for j in (i - 1, i + 1) if 0 <= j < mean.size]
+        said.append(
+            f"outside at {mean[i]:g} DN: {ours[i]:.2f} DN where the envelope is {low[i]:.2f} to {high[i]:.2f}, "
+            f"{abs(z[i]):.1f} sigmas from its middle; beside it ({', '.join(f'{mean[j]:g}' for j in beside)} DN) "
+            f"{np.sqrt(np.mean(z[beside] ** 2)):.1f} sigmas, edges {low[beside].mean():.2f} to {high[beside].mean():.2f}"
+        )
+        if hidden[i]:
+            said.append(
+                f"the envelope's fault: markers of the published simulation, {over_low[i]:.2f} to {over_high[i]:.2f}, lie "
+                f"painted over it, and what is left to see ends below them{', at no other level' if hidden.sum() == 1 else ''}"
+            )
+    return "; ".join(said)
 
 
 def with_method(campaign: isetval.Campaign, method: str) -> isetval.Campaign:

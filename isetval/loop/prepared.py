@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any
@@ -75,7 +75,8 @@ class Prepared:
         """The problem and its nuisance fit; simulated anew where focus or levels lie far from where they are stated.
 
         Noise and bias of an edge depend on focus, those of a mean on its level: weights made elsewhere judge wrongly.  At
-        another focus they may have driven the other nuisances away, which start at zero again.
+        another focus they may have driven the other nuisances away, or led them to where they belong, which chi2 has many
+        valleys between: they start at zero again and where they were, and the better end counts.
         """
         model = model.sampled_as(self.campaign.sensor)
         key = model.digest()
@@ -92,8 +93,11 @@ class Prepared:
             values = far_values(fitted)
             problem = self.problem_for(model, values=values)
             focused = any(f.focus and f.label in values for f in fitted.free)
-            near = values if focused else {**fitted.point.values, **values}
-            fitted = fit(problem, Point(model, near), fitted.free)
+            there, free = Point(model, {**fitted.point.values, **values}), fitted.free
+            fitted = fit(problem, Point(model, values) if focused else there, free)
+            if focused:
+                with suppress(InputError):  # rows that are seen at this focus may be lost with the other nuisances
+                    fitted = min(fitted, fit(problem, there, free), key=lambda end: end.chi2)
         return problem, told_here(problem, fitted) if values else fitted
 
     def fit_nuisances(self, model: CameraModel) -> Fit:

@@ -2,7 +2,8 @@
 
 What is rendered is the *transport*: radiance per unit radiance of the lamp, in a few broad bands, by Mitsuba with a
 pinhole at the entrance pupil.  The light of the shot multiplies it, band by band, so that its level and spectrum cost no
-new render; walls, black and chart reflectances do, with common random numbers.
+new render.  Reflectances of black and of a chart lie between renders at fixed steps, with common random numbers, which a
+diagnosis makes once and finds again; those of walls are rendered as they are.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ from isetval.scenes.rendered.spectra import LONGEST_NM, SHORTEST_NM
 Float = NDArray[np.float64]
 FINE_PX = 2_000_000
 COARSE_PX = 64
+REFLECTANCE_STEP = 0.02  # a chart on half of a box's wall sends a tenth of its light back to itself: half step^2 x .1 is 2e-5
+DIRECT = -1.0  # strength of further bounces at which none is left
 _PICTURES: OrderedDict[str, SpectralPicture] = OrderedDict()  # a diagnosis asks for the same few again and again
 
 
@@ -151,10 +154,10 @@ class RenderedScene:
     @property
     def pinhole(self) -> SpectralPicture:
         """The scene file's own camera, finer than the sensor's pixels."""
-        return self._kept((), lambda: self.render().radiance)
+        return self._kept((), lambda node: node.render().radiance)
 
     def render(self) -> Render:
-        """The transport that the pinhole sees, with its error."""
+        """The transport that the pinhole sees, with its error; of a scene that no other two stand for."""
         return self._rendered(self.camera, self._crop)
 
     def through(self, view: LensView) -> SpectralPicture:
@@ -166,23 +169,29 @@ class RenderedScene:
         from isetval.lens.tracing import TracedLens
         from isetval.scenes.through_lens.image_space import image_space_irradiance
 
-        def imaged() -> NDArray[np.float32]:
+        def imaged(node: RenderedScene) -> NDArray[np.float32]:
             halo = self.halo_px * self.subsample
             crop = pupil_crop(view, self.camera, self._crop, subsample=1, halo_px=halo)
-            made = self._rendered(pupil_camera(view, self.camera), crop)
+            made = node._rendered(pupil_camera(view, self.camera), crop)
             return image_space_irradiance(made, view, camera=self.camera, crop=self._crop, subsample=1, halo_px=halo).irradiance
 
         return self._kept((lens_hash(cast(TracedLens, view.lens)), view.film_mm), imaged)
 
-    def _kept(self, view: tuple[Any, ...], make: Callable[[], NDArray[np.float32]]) -> SpectralPicture:
+    def _kept(self, view: tuple[Any, ...], make: Callable[[RenderedScene], NDArray[np.float32]]) -> SpectralPicture:
         """The picture (bands, rows, cols) of this scene on the finer grid, made once and kept in memory."""
         bands, settings = _bands(self.loaded, self.scene), self.loaded.settings
         render = (settings["spp"], settings["seed"], settings["variant"], self.loaded.spec["bounces"], self.scene.bounce)
-        made_of = (scene_content(self.loaded.spec, self.camera), bands, render, self.draw, self._crop, view)
+        added = (self.scene.black, self.scene.gloss)
+        made_of = (scene_content(self.loaded.spec, self.camera), added, bands, render, self.draw, self._crop, view)
         key = content_hash((made_of, self.scene.wavelength_nm, self.halo_px, self.subsample))
         if key not in _PICTURES:
             spectra = np.array([np.interp(self.scene.wavelength_nm, bands, row) for row in np.eye(bands.size)]).T
-            keep(_PICTURES, key, SpectralPicture(spectra, make(), self.halo_px, self.subsample, averaged=True))
+            nodes = self._nodes()
+            if len(nodes) == 1:
+                made = make(self)
+            else:
+                made = np.maximum(sum(np.float32(weight) * node._kept(view, make).parts for weight, node in nodes), 0)
+            keep(_PICTURES, key, SpectralPicture(spectra, made, self.halo_px, self.subsample, averaged=True))
         _PICTURES.move_to_end(key)
         return _PICTURES[key]
 
@@ -212,24 +221,47 @@ class RenderedScene:
         return (row0 * s, col0 * s, (rows + 2 * halo) * s, (cols + 2 * halo) * s)
 
     def _rendered(self, camera: dict[str, Any], crop: tuple[int, int, int, int]) -> Render:
-        """The transport seen by a pinhole camera, with the scene's bounce and the wanted draw of its error."""
-        settings, bounce = self.loaded.settings, self.scene.bounce
-        shared: dict[str, Any] = {
-            "camera": camera,
-            "crop": crop,
-            "wavelength_nm": _bands(self.loaded, self.scene),
-            "spp": max(2, -(-int(settings["spp"]) // self.subsample**2)),
-            "seed": int(settings["seed"]),
-            "variant": settings["variant"] or None,
-            "progress": self.progress,
-        }
-        made = render(self.loaded.spec, **shared)
-        if bounce:
-            direct = render({**self.loaded.spec, "bounces": 1}, **shared)
-            more = made.radiance + bounce * (made.radiance - direct.radiance)
-            draws = made.draws + np.float32(bounce) * (made.draws - direct.draws)
-            made = replace(made, radiance=np.maximum(more, 0), draws=draws)
+        """The transport seen by a pinhole camera, with the wanted draw of its error; bounce 0 or -1 (direct light alone)."""
+        settings, spec = self.loaded.settings, self.loaded.spec
+        made = render(
+            {**spec, "bounces": 1} if self.scene.bounce == DIRECT else spec,
+            camera=camera,
+            crop=crop,
+            wavelength_nm=_bands(self.loaded, self.scene),
+            spp=max(2, -(-int(settings["spp"]) // self.subsample**2)),
+            seed=int(settings["seed"]),
+            variant=settings["variant"] or None,
+            progress=self.progress,
+        )
         return made if self.draw is None else made.with_draw(self.draw)
+
+    def _nodes(self) -> list[tuple[float, RenderedScene]]:
+        """The scenes that are rendered and their weights; itself alone where nothing stands for it.
+
+        A path's light is the product of the reflectances that it meets, and Lambertian paths do not depend on them: with
+        common random numbers the transport is a polynomial of each reflectance added to black and to a chart, linear but for
+        light that goes from such a surface to another one, and it lies between renders at whole steps.  A step that no surface
+        can take (it would reflect all) is rendered as it is.  Strength b of the further bounces: (1 + b) all - b direct.
+        """
+        low, share = {}, {}
+        for name in ("black", "gloss"):
+            steps, share[name] = divmod(round(getattr(self.scene, name) / REFLECTANCE_STEP, 9), 1.0)
+            low[name] = steps * REFLECTANCE_STEP if share[name] else getattr(self.scene, name)
+        up = [(part, low | {name: low[name] + REFLECTANCE_STEP}) for name, part in share.items() if part]
+        bounce = self.scene.bounce
+        strengths = [(w, at) for w, at in ((1 + bounce, 0.0), (-bounce, DIRECT)) if w]
+        try:
+            return [
+                (weight * strength, self._with(bounce=at, **black_and_chart))
+                for weight, black_and_chart in [(1.0 - sum(share.values()), low), *up]
+                for strength, at in strengths
+            ]
+        except InputError:
+            return [(strength, self._with(bounce=at)) for strength, at in strengths]
+
+    def _with(self, **changes: Any) -> RenderedScene:
+        scene = replace(self.scene, **changes)
+        return replace(self, loaded=load_target(scene), scene=scene)
 
 
 def fine_camera(camera: Any, context: Context, *, subsample: int, halo_px: int) -> dict[str, Any]:

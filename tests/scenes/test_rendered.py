@@ -71,6 +71,28 @@ def test_scene_effects_reach_the_render():
     np.testing.assert_allclose((tilted / base)[0, 0], 1 + 0.2 * (np.arange(16) - 7.5) / 8, rtol=1e-9)
 
 
+@pytest.mark.parametrize("added", [{"black": 0.007}, {"black": 0.033}, {"gloss": 0.013}, {"black": 0.012, "gloss": 0.004}])
+def test_reflectances_between_two_steps_cost_no_render_and_are_those_of_one_made_for_them(added):
+    own = {{"black": "black_added", "gloss": "chart_gloss"}[name]: value for name, value in added.items()}
+    base, exact = (
+        rendered_radiance(scene(1.0, spec={"parameters": SPEC["parameters"] | more}), context()).values for more in ({}, own)
+    )
+    assert rendered_radiance(scene(1.0, **{name: value + 0.001 for name, value in added.items()}), context()).values.any()
+    calls = []
+    found = rendered_radiance(scene(1.0, **added), context(), progress=lambda *a: calls.append(a)).values
+    assert not calls
+    lift = exact - base
+    assert np.any(lift > 0.001 * base.max())
+    # what is not linear goes from such a surface to another, and a chart's width of .09 m is a hundredth of the box's walls
+    np.testing.assert_allclose(found, exact, rtol=1e-6, atol=0.01 * lift.max())
+
+
+def test_a_step_that_no_surface_can_take_is_rendered_as_it_is():
+    black = {"parameters": SPEC["parameters"] | {"black_added": 0.9625}}  # .9975 with the paint; the next step would be 1.015
+    exact = rendered_radiance(scene(1.0, spec=black), context()).values
+    np.testing.assert_array_equal(rendered_radiance(scene(1.0, black=0.9625), context()).values, exact)
+
+
 def test_mean_of_the_field_for_glare():
     whole = rendered_radiance(scene(2.0), context((0, 0, 48, 64))).values.mean(axis=(1, 2))
     np.testing.assert_allclose(rendered_mean(scene(2.0), context()), whole, rtol=0.1)  # the lamp's border is coarse
