@@ -5,7 +5,7 @@
 # for each position; black lines set to zero reflectance.
 # Data: measured and published simulated profiles (digitised), spectra of lamp, papers, chart and sensor (exact).  The box's mesh
 # is not public: the geometry is this project's (a cube of .3 m, the chart 3.5 mm from the wall beside it).
-# Run time: five minutes of rendering, then a quarter of a minute (renders are kept in the cache).
+# Run time: five minutes of rendering, then two (renders are kept in the cache).
 
 # %%
 from __future__ import annotations
@@ -289,9 +289,11 @@ def _lines(found: Diagnosis, asked: dict[str, tuple[float, float]]) -> Claim:
         missing="reflectance of the lines; veiling glare and gloss look alike here",
         sure=f"diagnosis of the three profiles, gains and scales free: {found.verdict}"
         + (f", {found.leftover}" if found.leftover else "")
+        + (f" after {LIMIT_S:g} s, first named stand first" if found.verdict == "unfinished" else "")
         + f". Light from walls beyond the render's {BOUNCES} bounces, over it: {bounce:+.2f} +- {bounce_sigma:.2f}"
         + (f", posterior {second.posterior:.2f}" if second.posterior is not None else ""),
-        numbers={"black_reflectance": PAINT + black, "bounce": bounce, "bounce_sigma": bounce_sigma},
+        numbers={"black_reflectance": PAINT + black, "bounce": bounce, "bounce_sigma": bounce_sigma}
+        | {"named": float("black_reflectance" in (e.name for e in found.effects))},
     )
 
 
