@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -53,7 +54,8 @@ print(json.dumps([name for name in isetval.__all__ if getattr(isetval, name, Non
 def test_no_module_bears_the_name_of_a_public_function():
     import isetval
 
-    functions = {name for name in (*isetval.__all__, *isetval.measure.__all__) if name.islower()} - {"measure", "testing"}
+    rooms = {name for name in isetval.__all__ if isinstance(getattr(isetval, name), ModuleType)}
+    functions = {name for name in (*isetval.__all__, *isetval.measure.__all__) if name.islower()} - rooms
     modules = {path.stem for path in (ROOT / "isetval").rglob("*.py")}
     assert not functions & modules
 
@@ -73,3 +75,16 @@ code = main(["measure", {str(tmp_path / "a.dng")!r}, "--quiet", "-o", {str(tmp_p
 print(json.dumps(code))
 """
     assert _child(code) == 0
+
+
+def test_completion_shows_what_there_is():
+    code = """
+import json, isetval
+rooms = ("effects", "lens", "measure", "plots", "report", "testing")
+shown = [name for name in rooms if name in dir(isetval)]
+print(json.dumps([shown, [getattr(isetval, name).__name__ for name in shown], "vignetting" in isetval.effects.catalogue()]))
+"""
+    shown, modules, known = _child(code)
+    assert shown == ["effects", "lens", "measure", "plots", "report", "testing"]
+    assert modules == [f"isetval.{'app.' * (name in ('plots', 'report'))}{name}" for name in shown]
+    assert known

@@ -2,5 +2,5 @@
 
 from isetval.core.lazy import lazy_names
 
-_NAMES = {"plots": "isetval.app.plots"}
+_NAMES = {"plots": "isetval.app.plots", "report": "isetval.app.report"}
 __getattr__, __dir__ = lazy_names(__name__, _NAMES)
