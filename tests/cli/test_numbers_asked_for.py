@@ -55,6 +55,7 @@ def test_a_folder_is_described_once_before_its_numbers(run, tmp_path):
         assert lines[1].startswith("  capture quality of 6 files: ")
         assert out.count("capture quality") == 1
         assert str(folder) not in out
+        assert ("6 files show neither a chart nor an edge" in out) == (len(words) == 2)
     warned = {
         "shape": (2, 2),
         "cfa": "RGGB",

@@ -341,4 +341,17 @@ def _file_lines(found: FileMeasurement, rows: Sequence[Mapping[str, Any]], *, br
     lines += metric_lines([m for _, m in found.metrics], files=[f for f, _ in found.metrics], brief=brief)
     if brief:
         lines.append(f"# measured {len(found.files)} of {len(found.files) + len(found.skipped)} files")
+        lines += _series_hint(found)
     return lines + _doubt_lines(found.skipped, others)
+
+
+def _series_hint(found: FileMeasurement) -> list[str]:
+    """What to do with files of an unknown role that show nothing: darks and flats tell what they hold as a series."""
+    shown = {file for file, m in found.metrics if m.family != "plane"}
+    bare = [file for file in found.files if file not in shown]
+    if found.settings.get("role") or len(bare) < 2:
+        return []
+    return [
+        f"hint: {len(bare)} files show neither a chart nor an edge; darks and flats are measured as series: isetval measure FLATS "
+        "--role flat --dark DARKS, or isetval campaign init FOLDER, which sorts them"
+    ]
