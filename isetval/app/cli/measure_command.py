@@ -352,6 +352,6 @@ def _series_hint(found: FileMeasurement) -> list[str]:
     if found.settings.get("role") or len(bare) < 2:
         return []
     return [
-        f"hint: {len(bare)} files show neither a chart nor an edge; darks and flats are measured as series: isetval measure FLATS "
+        f"hint: {len(bare)} files show neither a chart nor an edge; darks and flats are series: isetval measure FLATS "
         "--role flat --dark DARKS, or isetval campaign init FOLDER, which sorts them"
     ]
