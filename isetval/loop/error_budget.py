@@ -22,7 +22,8 @@ class BudgetRow:
 
     The first five add up to 1: ``sampling`` is the noise of the captures (more frames), ``specimen`` what several shots share,
     such as the fixed pattern of the same pixels (more places), ``simulation`` the finite number of simulated campaigns (more
-    replicas), ``render`` the finite number of rays in 3-D scenes (more rays), ``light`` the flicker between frames.
+    replicas) and what noise does to contrasts near zero, ``render`` the finite number of rays in 3-D scenes (more rays),
+    ``light`` the flicker between frames.
 
     The others are mean squares of z beyond what that variance explains, in its unit: ``unexplained`` all of it, ``repeat``
     what set-ups made anew show of it (None without repeats), ``misfit`` what is left of it for the model; ``region`` is how
@@ -71,16 +72,19 @@ def _parts(problem: Problem) -> dict[str, Float]:
     keep, base = problem.keep, problem.base
     table = problem.predictor.table
     total = np.diag(problem.covariance)[keep]
-    render = np.broadcast_to(base.render, len(table.metrics))[keep]
+    render, bias = (np.broadcast_to(part, len(table.metrics))[keep] for part in (base.render, problem.noise_bias))
     more = 1 / base.replicas
-    known = np.maximum(total / (1 + more) - render, 0.0)  # counts of rare events have their own law in place of the simulated
+    bias = np.minimum(bias, total)
+    known = np.maximum(
+        (total - bias) / (1 + more) - render, 0.0
+    )  # counts of rare events have their own law in place of the simulated
     captures = np.clip(np.diag(base.covariance)[keep] - render, 0.0, known)
     sigma = np.array([table.metrics[i].sigma for i in keep])
     own = sigma**2 / np.maximum(table.sigma[keep] ** 2, 1e-300)
     shares = {
         "sampling": own * captures,
         "specimen": (1 - own) * captures,
-        "simulation": captures * more,
+        "simulation": captures * more + bias,
         "render": render * (1 + more),
     }
     shares["light"] = np.maximum(total - sum(shares.values()), 0.0)

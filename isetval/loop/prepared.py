@@ -214,7 +214,8 @@ def repeat_gate(prepared: Prepared) -> dict[str, Any]:
     """Whether repeated set-ups agree within their error bars.
 
     z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the
-    set-up scope priors of both; the mean square must be 1 within max(0.05, 3 sd).
+    set-up scope priors of both; the mean square must be 1 within max(0.05, 3 sd), or below what the replicas show of it: the
+    ten contrasts of an edge hold five numbers, and are weighted as if they held a little more.
 
     Returns
     -------
@@ -231,10 +232,23 @@ def repeat_gate(prepared: Prepared) -> dict[str, Any]:
     from scipy.stats import chi2, norm
 
     # 3 standard deviations as a probability: chi2 is skew where the repeats are few
-    low, high = (float(chi2.ppf(q, n)) / n for q in (norm.sf(3), norm.cdf(3)))
+    expected = _expected_square(prepared.problem, rows, vectors[:, use], values[use])
+    free = max(n * expected, 1.0)
+    low, high = expected * float(chi2.ppf(norm.sf(3), free)) / free, float(chi2.ppf(norm.cdf(3), n)) / n
     failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
     allowed = max(high, 1 + MIN_GATE) - 1
     return {"run": True, "failed": failed, "mean_square_z": square, "n": n, "allowed": allowed}
+
+
+def _expected_square(problem: Problem, rows: Sequence[tuple[int, int]], axes: Float, stated: Float) -> float:
+    """Mean square of z (``axes`` (pairs, n) of variances ``stated``) where captures scatter as the replicas do; 1 at most."""
+    first, second = np.transpose(rows)
+    apart = problem.base.values[:, first] - problem.base.values[:, second]
+    both = np.concatenate([first, second])
+    pick = np.concatenate([axes, -axes])
+    sampled = np.sum(pick * (problem.base.covariance[np.ix_(both, both)] @ pick), axis=0)
+    shown = np.var(apart @ axes, axis=0, ddof=1)
+    return min(1.0, float(np.mean((stated - sampled + shown) / stated)))
 
 
 def repeat_differences(prepared: Prepared) -> tuple[list[tuple[int, int]], Float, Float]:
@@ -245,7 +259,8 @@ def repeat_differences(prepared: Prepared) -> tuple[list[tuple[int, int]], Float
     for i, (a, b) in enumerate(rows):
         pick[i, a], pick[i, b] = 1.0, -1.0
     local = pick[:, problem.keep]
-    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / (1 + 1 / problem.base.replicas)
+    captures = problem.covariance - np.diag(np.broadcast_to(problem.noise_bias, len(table.metrics)))
+    covariance = captures[np.ix_(problem.keep, problem.keep)] / (1 + 1 / problem.base.replicas)
     spread = local @ covariance @ local.T + (
         _set_up_part(problem, prepared.fit_nuisances(prepared.model), local) if rows else 0.0
     )

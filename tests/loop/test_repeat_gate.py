@@ -50,7 +50,8 @@ def gate(tilt, apart, noise):
     camera = ColoredLight(plan)
     truth = {"light_tilt_x@measurement session:A": tilt, "light_level@set-up:a": apart / 2, "light_level@set-up:b": -apart / 2}
     measured = camera.means(truth) + noise
-    base = Base(camera.means({}), SIGMA**2 * np.eye(6), np.zeros((REPLICAS, 6)), np.ones(6))
+    replicas = camera.means({}) + SIGMA * np.random.default_rng(1).standard_normal((REPLICAS, 6))
+    base = Base(camera.means({}), SIGMA**2 * np.eye(6), replicas, np.ones(6))
     problem = Problem(
         camera,
         Point(model),
