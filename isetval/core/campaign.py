@@ -46,6 +46,12 @@ SHOT_NUISANCES = {
     "patch_reflectance": NuisanceKind(
         "relative", "reflectance of a chart's patch times (1 + value), each patch its own", factor=True, each_patch=True
     ),
+    "patch_tilt": NuisanceKind(
+        "relative per 100 nm", "tilt of the spectrum of a patch around 550 nm, each patch its own", each_patch=True
+    ),
+    "patch_bow": NuisanceKind(
+        "relative per (100 nm)^2", "bend of the spectrum of a patch: rise with the square around 550 nm", each_patch=True
+    ),
     "dark_reflectance": NuisanceKind("reflectance", "reflectance added to black elements"),
     "qe_red": NuisanceKind("relative", "quantum efficiency of red in this light times (1 + value)", factor=True),
     "qe_green": NuisanceKind("relative", "quantum efficiency of green (or of MONO) in this light times (1 + value)", factor=True),

@@ -275,7 +275,7 @@ class Scene:
     target_shift_px : (x, y)
         Shift of the picture of a chart or a rendered scene to higher columns and rows.
     patch_factor : mapping
-        What the reflectance of a chart's patch is multiplied with, by the patch's name (1 where it has none).
+        What the reflectance of a chart's patch is multiplied with, (bands,), by the patch's name (1 where it has none).
     surround : float
         Reflectance added to all that lies around patches and edges.
     black : float
@@ -301,7 +301,7 @@ class Scene:
     target_tilt: tuple[float, float] = (0.0, 0.0)
     target_bow: tuple[float, float, float] = (0.0, 0.0, 0.0)
     target_shift_px: tuple[float, float] = (0.0, 0.0)
-    patch_factor: Mapping[str, float] = field(default_factory=dict)
+    patch_factor: Mapping[str, Float] = field(default_factory=dict)
     surround: float = 0.0
     black: float = 0.0
     ambient: Float | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -33,6 +34,7 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
     level = shot.light_level * max(0.0, 1 + context.get("light_level"))
     step = (wavelength_nm - 550.0) / 100.0
     spectrum = 1 + context.get("spectrum_tilt") * step + context.get("spectrum_bow") * step**2
+    patches = shot.target.patches if isinstance(shot.target, ChartTarget) else ()
     level *= 1.0 if shot.target is None else _at_window(context)
     factor = level * np.maximum(spectrum, 0)
     return Scene(
@@ -47,18 +49,24 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
         target_tilt=(context.get("target_tilt_x"), context.get("target_tilt_y")),
         target_bow=(context.get("target_bow_x"), context.get("target_bow_y"), context.get("target_twist")),
         target_shift_px=(context.get("chart_shift_x_px"), context.get("chart_shift_y_px")),
-        patch_factor=_patch_factors(shot, context),
+        patch_factor=_patch_factors([patch.name for patch in patches], context, step),
         surround=context.get("surround_reflectance"),
         black=context.get("dark_reflectance"),
         parameters={"wall_albedo": context.get("wall_albedo")},
     )
 
 
-def _patch_factors(shot: Shot, context: Context) -> dict[str, float]:
-    """What the laboratory's error of each patch makes of its reflectance; patches without an error are left out."""
-    patches = shot.target.patches if isinstance(shot.target, ChartTarget) else ()
-    errors = {patch.name: context.get(of_patch("patch_reflectance", patch.name)) for patch in patches}
-    return {name: max(0.0, 1 + error) for name, error in errors.items() if error}
+def _patch_factors(names: Sequence[str], context: Context, step: Float) -> dict[str, Float]:
+    """What the laboratory's errors of each patch make of its reflectance, (bands,); patches without an error are left out.
+
+    ``step`` are wavelengths from 550 nm in 100 nm.
+    """
+    out = {}
+    for name in names:
+        level, tilt, bow = (context.get(of_patch(f"patch_{what}", name)) for what in ("reflectance", "tilt", "bow"))
+        if level or tilt or bow:
+            out[name] = np.maximum((1 + level) * (1 + tilt * step + bow * step**2), 0.0)
+    return out
 
 
 def _at_window(context: Context) -> float:
