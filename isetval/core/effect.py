@@ -217,6 +217,13 @@ class Effect:
         """Whether signals behind this effect carry the angle of the lens's chief rays."""
         return False
 
+    def focus_shift_um(self, context: Context) -> float:
+        """By how much it moves the film from best focus in the middle of a shot's window, in um, as an error of focus does.
+
+        Fits take derivatives by it and by focus errors along one line: they are told apart by priors and other shots alone.
+        """
+        return 0.0
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """The signal behind this effect."""
         return signal

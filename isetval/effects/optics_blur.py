@@ -113,6 +113,10 @@ class Defocus(Effect):
 
     z_um: float = parameter(0.0, unit="um", low=-200.0, high=200.0, tau=5.0, doc="shift z of the sensor from best focus")
 
+    def focus_shift_um(self, context: Context) -> float:
+        """The same everywhere."""
+        return self.z_um
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Shift the pupil's focus."""
         return adjust_pupil(signal, self.name, focus_um=self.z_um) if self.z_um else signal
@@ -144,10 +148,14 @@ class FieldCurvature(Effect):
 
     kappa_um: float = parameter(0.0, unit="um", low=-200.0, high=200.0, tau=10.0, doc="focus shift at the corner")
 
+    def focus_shift_um(self, context: Context) -> float:
+        """With the square of the field radius."""
+        x, y = field_point(context)
+        return self.kappa_um * (x * x + y * y)
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Shift the pupil's focus by the value at the window's middle."""
-        x, y = field_point(context)
-        return adjust_pupil(signal, self.name, focus_um=self.kappa_um * (x * x + y * y)) if self.kappa_um else signal
+        return adjust_pupil(signal, self.name, focus_um=self.focus_shift_um(context)) if self.kappa_um else signal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,10 +184,14 @@ class SensorTilt(Effect):
     alpha_um: float = parameter(0.0, unit="um", low=-200.0, high=200.0, tau=8.0, doc="focus shift at x = half diagonal")
     beta_um: float = parameter(0.0, unit="um", low=-200.0, high=200.0, tau=8.0, doc="focus shift at y = half diagonal")
 
+    def focus_shift_um(self, context: Context) -> float:
+        """Linear over the field."""
+        x, y = field_point(context)
+        return self.alpha_um * x + self.beta_um * y
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Shift the pupil's focus by the value at the window's middle."""
-        x, y = field_point(context)
-        return adjust_pupil(signal, self.name, focus_um=self.alpha_um * x + self.beta_um * y)
+        return adjust_pupil(signal, self.name, focus_um=self.focus_shift_um(context))
 
 
 @dataclass(frozen=True, kw_only=True)

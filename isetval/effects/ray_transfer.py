@@ -206,6 +206,10 @@ class RayTransfer(Effect):
         path = resolve_path(self.file, Path(self.base))
         return path.suffix.lower() != ".csv" or read_measured_lens(path).chief_ray is not None
 
+    def focus_shift_um(self, context: Context) -> float:
+        """The film's."""
+        return self.film_shift_um
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Irradiance behind the lens, imaged by the pupil of the window's middle."""
         lens, reach = self.lens(context)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.parameter import Parameter
+from isetval.loop.focus_chain import at_same_focus, focus_shifts, through_focus
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Column, Problem
 
@@ -18,8 +19,9 @@ Float = NDArray[np.float64]
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
 SCALED = 0.1  # change of a relative parameter (light, efficiency) that scales the derivatives of all others by as much
 LEAST_FACTOR = 1e-3  # step of a factor that fell to nothing: its slope is that of the light itself
+STRAIGHT = 4.0  # sigmas of the finite step of a nuisance that bends: of its cubic part a few percent, and no noise, are left
+LONG = 2 * STRAIGHT  # beyond which a step is shortened
 KINK = 2.0  # ratio of slopes ahead and behind beyond which one is of a saturated level; of a square at half steps it is 1.7
-ALIKE = 0.995  # cosine above which an effect imitates focus: finite steps of the two differ by about a percent
 
 
 def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Parameter, ...]:
@@ -65,15 +67,15 @@ def jacobian(
     """
     moved = _moved(problem, point, free, stale)
     _renew(problem, point, [f for f in free if f.label in moved], moved)
-    wanted = [f for f in free if not f.is_nuisance or f.label not in problem.columns]
-    raw = dict(zip((f.label for f in wanted), slopes(problem, point, wanted, both_sides), strict=True))
+    unknown = [f for f in free if f.is_nuisance and f.label not in problem.columns]
     here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
-    problem.columns.update({f.label: Column(raw[f.label], here) for f in wanted if f.is_nuisance})
-    focus = [problem.columns[f.label].slope for f in free if f.focus]
-    raw |= {f.label: made_parallel(problem, raw[f.label], focus) for f in wanted if not f.is_nuisance}
+    problem.columns.update({f.label: Column(s, here) for f, s in zip(unknown, _local(problem, point, unknown), strict=True)})
+    effects = [f for f in free if not f.is_nuisance]
+    focus = [f for f in free if f.focus]
+    own = dict(zip((f.label for f in effects), slopes(problem, point, effects, both_sides, focus), strict=True))
     if not free:
         return np.zeros((problem.keep.size, 0))
-    return problem.whitened(np.column_stack([raw[f.label] if f.label in raw else problem.columns[f.label].slope for f in free]))
+    return problem.whitened(np.column_stack([own[f.label] if f.label in own else problem.columns[f.label].slope for f in free]))
 
 
 def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float) -> dict[str, list[str]]:
@@ -97,7 +99,7 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
     part = problem.predictor.that_feel({k for f in stale for k in moved[f.label]})
     whole = part is problem.predictor
     here = {k: point.values.get(k, 0.0) for k in problem.columns}
-    for f, slope in zip(stale, slopes(replace(problem, predictor=part), point, stale), strict=True):
+    for f, slope in zip(stale, _local(replace(problem, predictor=part), point, stale), strict=True):
         old = problem.columns[f.label]
         problem.columns[f.label] = (
             Column(slope, here)
@@ -106,39 +108,49 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
         )
 
 
-def made_parallel(problem: Problem, column: Float, focus: Sequence[Float]) -> Float:
-    """A raw column (metrics,) of which the part that imitates a focus error is exactly parallel to that error's.
-
-    A defocus is told from an error of the focus scale by the scale's prior only; what the finite steps of the
-    two differ by, a percent of fifty sigmas, would count for more than the prior.
-    """
-    out = column
-    for slope in focus:
-        w, a = problem.whitened(slope), problem.whitened(out)
-        rows = w != 0
-        length = float(np.linalg.norm(w) * np.linalg.norm(a[rows]))
-        if length > 0 and abs(float(a[rows] @ w[rows])) > ALIKE * length:
-            out = np.where(slope != 0, slope * float(a[rows] @ w[rows]) / float(w @ w), out)
-    return np.asarray(out)
+def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> list[Float]:
+    """Raw slopes of nuisances; where metrics bend, in steps that change them by a few sigmas, remembered in ``problem.steps``."""
+    kept = [f.stepped(problem.steps.get(f.label, f.step)) for f in unknowns]
+    out = slopes(problem, point, kept)
+    long = {}
+    for f, slope in zip(kept, out, strict=True):
+        length = float(np.linalg.norm(problem.whitened(slope * f.step))) if f.curved else 0.0
+        if length > LONG:
+            long[f.label] = f.stepped(f.step * 2.0 ** round(np.log2(STRAIGHT / length)))
+    problem.steps.update({label: f.step for label, f in long.items()})
+    again = dict(zip(long, slopes(problem, point, list(long.values())), strict=True))
+    return [again.get(f.label, slope) for f, slope in zip(kept, out, strict=True)]
 
 
-def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool = False) -> list[Float]:
+def slopes(
+    problem: Problem, point: Point, wanted: Sequence[Parameter], both_sides: bool = False, focus: Sequence[Parameter] = ()
+) -> list[Float]:
     """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked.
+
+    What effects do through ``focus`` errors, whose columns are known, goes by the chain rule (`isetval.loop.focus_chain`).
 
     What moves one patch of a chart is stepped together with the same of all other patches: each has the rows of its own
     (sparse derivatives by groups of columns: Curtis, Powell, Reid, J. Inst. Math. Appl. 13 (1974) 117).
     """
+    if not wanted:
+        return []
     steps = {f.label: _step_of(f, point) for f in wanted}
+    shifts = focus_shifts(problem, point.model, focus)
     groups: dict[str, list[Parameter]] = {}
     for f in wanted:
         groups.setdefault(_together(f), []).append(f)
     twice = {key: _on_both_sides(own[0], steps[own[0].label], point, both_sides) for key, own in groups.items()}
     sides = [(key, sign) for key in groups for sign in ((1, -1) if twice[key] else (1,))]
-    moved = [at(point, groups[key], [value_at(f, point) + sign * steps[f.label] for f in groups[key]]) for key, sign in sides]
+
+    def stepped(key: str, sign: int) -> Point:
+        there = at(point, groups[key], [value_at(f, point) + sign * steps[f.label] for f in groups[key]])
+        return at_same_focus(problem, there, shifts, focus)
+
+    moved = [stepped(key, sign) for key, sign in sides]
     here, *vectors = problem.predictor.derivative_vectors([point, *moved], problem.seeds)
     seen = {(key, sign): sign * (vector - here) for (key, sign), vector in zip(sides, vectors, strict=True)}
     lost = [key for key in groups if not twice[key] and np.any(np.isnan(seen[key, 1]) & np.isfinite(here))]
-    back = [at(point, groups[key], [value_at(f, point) - steps[f.label] for f in groups[key]]) for key in lost]
+    back = [stepped(key, -1) for key in lost]
     if lost:
         seen |= {
             (key, -1): here - v for key, v in zip(lost, problem.predictor.derivative_vectors(back, problem.seeds), strict=True)
@@ -153,7 +165,9 @@ def slopes(problem: Problem, point: Point, wanted: Sequence[Parameter], both_sid
         if (key, -1) in seen:
             rise = difference_of_both(rise, seen[key, -1], levels & twice[key], middle=twice[key])
         own = rise if patches is None or not f.patch else np.where(patches == f.patch, rise, 0.0)
-        return np.nan_to_num(own / steps[f.label])
+        step = steps[f.label]
+        after = focus_shifts(problem, at(point, [f], [value_at(f, point) + step]).model, focus)
+        return np.nan_to_num(own / step) + through_focus(problem, shifts, after, step)
 
     return [slope(f) for f in wanted]
 

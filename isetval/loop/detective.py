@@ -32,7 +32,7 @@ from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
-from isetval.loop.signatures import aligned, signatures
+from isetval.loop.signatures import signatures
 from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
 from isetval.loop.verdict import ALPHA, account_of, stopped_account
@@ -147,8 +147,8 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     wanted = candidates_for(model, lights_of(problem.plan), gaps_of(problem.plan))
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
-    made = signatures(problem, Point(model, far_values(fitted)), wanted, project=frame.basis[: frame.rows])
-    made = aligned(problem, fitted, made)
+    focus = [f for f in fitted.free if f.focus]
+    made = signatures(problem, Point(model, far_values(fitted)), wanted, project=frame.basis[: frame.rows], focus=focus)
     wanted = tuple(s.candidate for s in made)
     by_name = {s.candidate.name: s for s in made}
     nothing = hypothesis(problem, (), fitted)

@@ -14,6 +14,7 @@ from isetval.loop.candidates import Candidate, Doubt
 from isetval.loop.code_stair import CODES, on_lowest_step
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
+from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
@@ -126,6 +127,8 @@ def refit(
     """
     free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
     point = _starting_point(nominal, near.fitted.point.values, free, members, start)
+    focus = [f for f in free if f.focus]
+    point = at_same_focus(problem, point, focus_shifts(problem, near.fitted.point.model, focus), focus)
     fitted = fitted_members(problem, members, point, free, pose=near.fitted.pose, iterations=iterations)
     found = hypothesis(problem, members, fitted, rough=not iterations)
     gain = found.log_evidence - near.log_evidence

@@ -26,6 +26,7 @@ POSED = 0.1  # prior sigmas within which a nuisance is predicted by its derivati
 POSED_FACTOR = 1e-3  # of a factor: its product with an effect of a tenth bends by 1e-4, as well as the best means are known
 CONVERGED = 0.02  # in chi2 for each free parameter, a seventh of its sigma: below the 1/16 that simulation adds.  The step that
 # promises no more is taken on the derivatives, which hold so near
+TRUSTED = 0.75  # of a promised fall: derivatives that predicted so much of it are kept (as trust regions grow, More 1978)
 ROUNDING = 0.2  # of the root of chi2, by which common random numbers that are rounded anew move it: a tenth of a sigma in z
 
 
@@ -127,14 +128,14 @@ def fit(
             state = moved
             if fell < 0.25 * promised:
                 radius = length / 2
-            elif fell > 0.75 * promised:
+            elif fell > TRUSTED * promised:
                 radius = max(radius, 2 * length)
         else:
             radius = length / 6
         converged = state.is_close(matrix)
         if converged or failures > MAX_FAILURES:
             break
-        matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if helps else 0.0)
+        matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if fell > TRUSTED * promised else 0.0)
     if free and converged and iterations:
         state = state.led(problem, free, matrix)
     matrix = jacobian(problem, state.posed(start, free), free, both_sides=True)

@@ -8,19 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate
-from isetval.loop.derivatives import made_parallel
-from isetval.loop.fit import Fit, far_values
+from isetval.loop.focus_chain import at_same_focus, focus_shifts, through_focus
 from isetval.loop.prediction import RANDOM_SEEDS, SIGNATURE_SEEDS, Point
 from isetval.loop.problem import Problem
 
 Float = NDArray[np.float64]
 STRONG = 80.0  # sigmas of a secant beyond which it is taken again closer to the null: the metrics bend before that
 WANTED = 50.0  # sigmas of the new secant: far above the noise of common random numbers, well inside the linear range
-LIKE_FOCUS = 0.9  # cosine above which a far focus asks for a secant of the same length as the focus's own
 BEYOND = 1000.0  # prior widths between a null and anything that a plan could reach
 ONSET = 0.01  # of a value, to which the place where an effect begins to show is found: well within its prior's width
-ALIGNMENTS = 3  # times; each brings the lengths together to a tenth
 SHORTENED = 3  # times that small shots are asked: twice as all shots are, and once whether anything is left to see
 
 
@@ -41,10 +39,13 @@ def _steps(candidate: Candidate) -> Float:
     return steps
 
 
-def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float) -> list[Signature]:
+def signatures(
+    problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float, focus: Sequence[Parameter] = ()
+) -> list[Signature]:
     """Signatures by simulation with common random numbers.
 
-    ``project`` (kept rows, k) is an orthonormal basis of what nuisances can do.  A secant that is far
+    ``project`` (kept rows, k) is an orthonormal basis of what nuisances can do; ``focus`` are errors of it among them whose
+    derivatives are known: what a candidate does in the same way is parallel to theirs.  A secant that is far
     outside the linear range (profiled length above 80 sigma) is taken again closer to the null; whether it is, small shots
     tell mostly, which are asked first.
     """
@@ -66,6 +67,7 @@ def signatures(problem: Problem, point: Point, wanted: Sequence[Candidate], *, p
             seen = column.any()  # a clip shows nothing in a step that ends above the brightest level: the longer one stays
             columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
     wanted = [replace(c, code_steps=_code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
+    columns = _through_focus(problem, point, wanted, steps, columns, focus)
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
 
 
@@ -174,48 +176,29 @@ def _onset(problem: Problem, point: Point, candidate: Candidate) -> float | None
     return high
 
 
-def aligned(problem: Problem, fitted: Fit, made: Sequence[Signature]) -> list[Signature]:
-    """Signatures made parallel to the focus errors that they imitate; see `isetval.loop.fit.made_parallel`.
-
-    Far from zero a parameter's secant that looks like a focus error is first taken again from both sides, in steps that
-    change as much as those of the focus do.
-    """
-    focus = [problem.columns[f.label].slope for f in fitted.free if f.focus]
-    out = list(made)
-    far = far_values(fitted)
-    for key in (f.label for f in fitted.free if f.focus and f.label in far):
-        step = next(f.step for f in fitted.free if f.label == key)
-        column = problem.whitened(problem.columns[key].slope * step)
-        for i in range(max(len(s.steps) for s in out)):
-            out = [_like_focus(problem, fitted.point, s, i, column) if i < len(s.steps) else s for s in out]
-    columns = [np.column_stack([made_parallel(problem, column, focus) for column in s.columns.T]) for s in out]
-    return [replace(s, columns=c) for s, c in zip(out, columns, strict=True)]
-
-
-def _like_focus(problem: Problem, point: Point, signature: Signature, i: int, column: Float) -> Signature:
-    """The signature with parameter ``i`` differentiated in steps of the focus error it looks like, if it does."""
-    rows, length = column != 0, float(np.linalg.norm(column))
-    for _ in range(ALIGNMENTS):
-        part = problem.whitened(signature.columns[:, i] * signature.steps[i])[rows]
-        size = float(np.linalg.norm(part))
-        if size == 0 or abs(float(part @ column[rows])) < LIKE_FOCUS * size * length:
-            break
-        signature = _both_sides(problem, point, signature, i, signature.steps[i] * length / size)
-    return signature
-
-
-def _both_sides(problem: Problem, point: Point, signature: Signature, i: int, step: float) -> Signature:
-    """The derivative of parameter ``i`` from both sides, or the signature as it is where it has only one."""
-    candidate = signature.candidate
-    value, low, high = candidate.nominal[i], candidate.parameters[i].low, candidate.parameters[i].high
-    if not (low <= value - abs(step) and value + abs(step) <= high):
-        return signature
-    model = candidate.model_with(point.model)
-    points = [Point(model.with_values({candidate.keys[i]: value + h}), point.values) for h in (step, -step)]
-    up, down = problem.predictor.derivative_vectors(points, problem.seeds)
-    columns, steps = signature.columns.copy(), signature.steps.copy()
-    columns[:, i], steps[i] = np.nan_to_num((up - down) / (2 * step)), step
-    return Signature(candidate, columns, steps)
+def _through_focus(
+    problem: Problem,
+    point: Point,
+    wanted: Sequence[Candidate],
+    steps: Sequence[Float],
+    columns: Sequence[Float],
+    focus: Sequence[Parameter],
+) -> list[Float]:
+    """The secants, of which what goes by focus errors is taken from their derivatives (`isetval.loop.focus_chain`)."""
+    before = focus_shifts(problem, point.model, focus)
+    out = [column.copy() for column in columns]
+    places, parts = [point], []
+    for i, c in enumerate(wanted):
+        for k, (key, value, h) in enumerate(zip(c.keys, c.nominal, steps[i], strict=True)):
+            there = Point(c.model_with(point.model).with_values({key: value + h}), point.values)
+            same = at_same_focus(problem, there, before, focus)
+            if same is not there:
+                places.append(same)
+                parts.append((i, k, h, focus_shifts(problem, there.model, focus)))
+    here, *vectors = problem.predictor.derivative_vectors(places, SIGNATURE_SEEDS) if parts else [np.zeros(0)]
+    for (i, k, h, after), vector in zip(parts, vectors, strict=True):
+        out[i][:, k] = np.nan_to_num(vector - here) / h + through_focus(problem, before, after, h)
+    return out
 
 
 def _profiled(problem: Problem, columns: Float, project: Float) -> Float:
