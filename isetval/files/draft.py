@@ -18,7 +18,7 @@ from isetval.core.sensor import Sensor
 from isetval.core.toml import PACKAGE_PREFIX, data_folder
 from isetval.core.writing import write_whole
 from isetval.files.campaign_drafting import drafted
-from isetval.files.chart_drafting import PUBLISHED_CHART, bracket_scatter
+from isetval.files.chart_drafting import bracket_scatter
 from isetval.files.chart_parts import part_files
 from isetval.files.dng.metadata import UNKNOWN_PITCH_UM
 from isetval.files.draft_priors import camera_words, light_priors, target_priors
@@ -219,8 +219,7 @@ def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:
     again = {(s.setup, by_name[s.repeat_of].setup) for s in work.shots if s.repeat_of and s.role == "flat"}
     roles = {shot.role for shot in work.shots}
     tilts = [tilt for tilt in work.tilts if tilt is not None]
-    published = any(PUBLISHED_CHART in str(reflectance) for target in work.targets for _, _, reflectance in target.patches)
-    targets = target_priors(roles, tilt=max(tilts, default=None), published=published)
+    targets = target_priors(roles, tilt=max(tilts, default=None))
     lights = list(work.lights.values())
     return (*light_priors(flats, setups, sorted(again), lights, roles, bracket_scatter(work)), *targets, *work.priors)
 

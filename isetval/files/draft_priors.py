@@ -22,12 +22,6 @@ LAMP = 0.3  # ours, per 100 nm: what lamps behind a band-pass filter differ by, 
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
 BOW_SHARE = 0.25  # of the tilt's width: ratios of black bodies 2700 to 3000 K and 5500 to 6500 K bend by .14 to .26 of their tilt
-# ours: one chart of 2016 lies .06 rms off the published averages (of a mean of .25), a camera's broad bands see about half of it
-PUBLISHED = {
-    "reflectance": (0.1, "relative"),
-    "tilt": (0.1, "relative per 100 nm"),
-    "bow": (0.05, "relative per (100 nm)^2"),
-}
 UNEVEN = 0.1  # of a tilt: of smaller ones the bend is below the 2 % that charts are lit to anyway
 LEAST_DARK_DN = 0.5  # mean of a dark without an offset: fewer than half of its pixels leave code 0
 DARK_SIDE_PX = 256  # 65 536 pixels give read noise to .3 %
@@ -116,11 +110,8 @@ def light_priors(
     return out
 
 
-def target_priors(roles: set[str], *, tilt: float | None = None, published: bool = False) -> list[DraftPrior]:
-    """Priors on the pose and brightness of targets, for the roles that a campaign has.
-
-    ``tilt`` was read off charts; ``published``: the reflectances of a chart are averages of many, in place of measured ones.
-    """
+def target_priors(roles: set[str], *, tilt: float | None = None) -> list[DraftPrior]:
+    """Priors on the pose and brightness of targets, for the roles that a campaign has; ``tilt`` was read off charts."""
     out = []
     if "edge" in roles:
         out += [
@@ -141,10 +132,6 @@ def target_priors(roles: set[str], *, tilt: float | None = None, published: bool
             if width > UNEVEN:
                 words = "light that falls off so much also bends: the square of its fall"
                 out.append(DraftPrior(f"target_bow_{axis}", width**2, "relative", "set-up", words, ("chart",)))
-    if published:
-        words = "CHECK: published averages stand for this chart; drop these three once its patches are measured"
-        for name, (width, unit) in PUBLISHED.items():
-            out.append(DraftPrior(f"patch_{name}", width, unit, "campaign", words, ("chart",)))
     return out
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.campaign import SHOT_NUISANCES, Campaign, Light, Nuisance, Shot
 from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
@@ -77,3 +77,25 @@ def test_all_patches_are_differentiated_in_one_step(camera):
             assert not column[rows][~mine].any()
             # a mean above black goes with the reflectance; rounding of one frame: .3 DN sqrt(2) / sqrt(64 pixels) / step .05
             np.testing.assert_allclose(column[rows][mine & means], level[mine & means], rtol=0.01, atol=3 * 1.06)
+
+
+@pytest.mark.parametrize(("name", "power"), [("patch_tilt", 1), ("patch_bow", 2)])
+def test_a_patch_whose_spectrum_is_off_is_one_of_that_spectrum(camera, name, power):
+    wide = np.linspace(380.0, 730.0, 351)
+    bent = {k: Spectrum.flat(v) for k, v in STATED.items()} | {
+        "b": Spectrum(wide, 0.3 * (1 + 0.2 * ((wide - 550) / 100) ** power))
+    }
+    unknown = Nuisance(name, 0.1, SHOT_NUISANCES[name].unit, "campaign", roles=("chart",))
+    plan = chart(camera, STATED, unknown)
+    label = next(p.label for p in plan.unknowns() if p.patch == "b")
+    by_value = isetval.simulate(camera, plan, seed=5, values={label: 0.2})
+    patches = tuple(replace(p, reflectance=bent[p.name]) for p in plan.shots[0].target.patches)
+    shots = tuple(replace(s, target=replace(s.target, patches=patches)) for s in plan.shots)
+    by_table = isetval.simulate(camera, replace(plan, shots=shots), seed=5)
+    stated = isetval.simulate(camera, plan, seed=5)
+    for s in plan.shots:
+        value, table, flat = (
+            np.mean([c.mosaic[18:38, 58:78] for c in one.captures.read(s.name)]) for one in (by_value, by_table, stated)
+        )
+        assert value - flat > 1  # DN: brighter in red than it loses in blue, or at both ends
+        assert abs(value - table) < 0.05 * (value - flat)  # the same seeds; what a mean of another last bit draws anew
