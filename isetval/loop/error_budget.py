@@ -20,10 +20,10 @@ Float = NDArray[np.float64]
 class BudgetRow:
     """Shares of the variance of measured minus predicted in a family of metrics, and what is beyond that variance.
 
-    The first five add up to 1: ``sampling`` is the noise of the captures (more frames), ``specimen`` what several shots share,
+    The first six add up to 1: ``sampling`` is the noise of the captures (more frames), ``specimen`` what several shots share,
     such as the fixed pattern of the same pixels (more places), ``simulation`` the finite number of simulated campaigns (more
-    replicas) and what noise does to contrasts near zero, ``render`` the finite number of rays in 3-D scenes (more rays),
-    ``light`` the flicker between frames.
+    replicas), ``contrast`` what noise does to contrasts near zero, ``render`` the finite number of rays in 3-D scenes (more
+    rays), ``light`` the flicker between frames.
 
     The others are mean squares of z beyond what that variance explains, in its unit: ``unexplained`` all of it, ``repeat``
     what set-ups made anew show of it (None without repeats), ``misfit`` what is left of it for the model; ``region`` is how
@@ -36,6 +36,7 @@ class BudgetRow:
     sampling: float
     specimen: float
     simulation: float
+    contrast: float
     render: float
     light: float
     unexplained: float
@@ -84,7 +85,8 @@ def _parts(problem: Problem) -> dict[str, Float]:
     shares = {
         "sampling": own * captures,
         "specimen": (1 - own) * captures,
-        "simulation": captures * more + bias,
+        "simulation": captures * more,
+        "contrast": bias,
         "render": render * (1 + more),
     }
     shares["light"] = np.maximum(total - sum(shares.values()), 0.0)

@@ -11,6 +11,7 @@ PARTS = (
     ("sampling", "noise of the captures", "more frames"),
     ("specimen", "pattern of the specimen, shared by shots", "other places on the sensor"),
     ("simulation", "finite number of simulations", "more replicas"),
+    ("contrast", "contrasts near zero, which noise lengthens", "more light on the edges"),
     ("render", "finite number of rays", "more rays"),
     ("light", "light between frames", "a steadier lamp"),
 )
