@@ -5,19 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import isetval
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.toml import data_folder
 from isetval.loop.candidates import candidates_for, gaps_of, lights_of
-
-
-@pytest.fixture(scope="module")
-def model():
-    return isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 def test_a_spectrum_may_be_wrong_for_one_light(model):

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from isetval import load_model, simulate
+from isetval import simulate
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.toml import data_folder
 from isetval.effects.optics_blur import Defocus, SensorTilt
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import jacobian, nuisance_parameters
@@ -18,11 +17,6 @@ from isetval.loop.prepared import prepare
 
 HIDDEN_UM = 8.0  # four sigmas of the focus scale's prior
 PLACES = {"middle": (1464, 1968, 64, 64), "corner": (200, 300, 64, 64)}
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 @pytest.fixture(scope="module")

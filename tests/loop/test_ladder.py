@@ -11,15 +11,9 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Block, Metric, MetricTable
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.toml import data_folder
 from isetval.loop.comparison import _true_mean_square, captures_of, fitted_to
 
 WINDOW = (1464, 1968, 32, 32)
-
-
-@pytest.fixture(scope="module")
-def model():
-    return isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 @pytest.fixture(scope="module")

@@ -3,15 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from isetval import load_model
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.core.campaign import Light, Shot
 from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure, Roi
-from isetval.core.toml import data_folder
 from isetval.loop.looked_at import looked_at, merged
 from isetval.measure.campaign import measure_shot
 
@@ -25,11 +22,6 @@ SHOT = Shot(
     light="sphere",
     target=ChartTarget("c", PATCHES, Spectrum.flat(0.05)),
 )
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 def test_patches_and_their_margin_are_looked_at(model):

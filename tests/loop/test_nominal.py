@@ -5,20 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isetval import load_model, simulate
+from isetval import simulate
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 @pytest.fixture(autouse=True)

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isetval import load_model, simulate
+from isetval import simulate
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.prediction import Point, Predictor
@@ -20,11 +19,6 @@ from isetval.measure.campaign import measure_campaign, measure_shot, measure_sho
 
 LEVEL = "light_level@set-up:edge"
 FLICKER = 0.002
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 @pytest.fixture(scope="module")

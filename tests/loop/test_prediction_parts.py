@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from isetval import load_model, simulate
+from isetval import simulate
 from isetval.camera.chain import ShotSetup, electronics, make_context, mean_electrons
 from isetval.camera.shooting import draw_nuisances
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.effects.pupil import CircularPupil
 from isetval.effects.ray_transfer import TracedPupil
@@ -25,11 +24,6 @@ from isetval.scenes.planar import StraightEdge
 
 WINDOW = (1464, 1968, 96, 96)
 LIGHT = Light("sphere", Spectrum.flat(0.004))
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 def flat(**changes):

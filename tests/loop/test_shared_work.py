@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isetval import load_model, simulate
+from isetval import simulate
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.context import Context
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.core.toml import data_folder
 from isetval.loop import shot_task
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.prepared import prepare
@@ -20,11 +19,6 @@ from isetval.measure.campaign import measure_campaign
 from isetval.measure.noise.code_density import LEAST_CODES, LEAST_COUNTS, code_widths
 
 LIT = {"frames": 3, "light": "sphere", "window": (1464, 1968, 48, 48)}
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
 @pytest.fixture(autouse=True)
