@@ -19,7 +19,9 @@ Float = NDArray[np.float64]
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
 SCALED = 0.1  # change of a relative parameter (light, efficiency) that scales the derivatives of all others by as much
 LEAST_FACTOR = 1e-3  # step of a factor that fell to nothing: its slope is that of the light itself
-STRAIGHT = 4.0  # sigmas of the finite step of a nuisance that bends: of its cubic part a few percent, and no noise, are left
+STRAIGHT = (
+    4.0  # sigmas of a finite step where metrics bend: of both sides the cubic part is left, and frames without noise add none
+)
 LONG = 2 * STRAIGHT  # beyond which a step is shortened
 KINK = 2.0  # ratio of slopes ahead and behind beyond which one is of a saturated level; of a square at half steps it is 1.7
 
@@ -109,12 +111,16 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
 
 
 def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> list[Float]:
-    """Raw slopes of nuisances; where metrics bend, in steps that change them by a few sigmas, remembered in ``problem.steps``."""
+    """Raw slopes of nuisances; where metrics bend, in steps that change them by a few sigmas, remembered in ``problem.steps``.
+
+    Rows of noisy frames keep the long step: rounded common random numbers move them by a sigma or more whatever the step.
+    """
     kept = [f.stepped(problem.steps.get(f.label, f.step)) for f in unknowns]
     out = slopes(problem, point, kept)
     long = {}
     for f, slope in zip(kept, out, strict=True):
-        length = float(np.linalg.norm(problem.whitened(slope * f.step))) if f.curved else 0.0
+        smooth = f.curved and bool(np.all(problem.predictor.noise_free | (slope == 0)))
+        length = float(np.linalg.norm(problem.whitened(slope * f.step))) if smooth else 0.0
         if length > LONG:
             long[f.label] = f.stepped(f.step * 2.0 ** round(np.log2(STRAIGHT / length)))
     problem.steps.update({label: f.step for label, f in long.items()})

@@ -76,9 +76,8 @@ def _parts(problem: Problem) -> dict[str, Float]:
     render, bias = (np.broadcast_to(part, len(table.metrics))[keep] for part in (base.render, problem.noise_bias))
     more = 1 / base.replicas
     bias = np.minimum(bias, total)
-    known = np.maximum(
-        (total - bias) / (1 + more) - render, 0.0
-    )  # counts of rare events have their own law in place of the simulated
+    # counts of rare events have their own law in place of the simulated
+    known = np.maximum((total - bias) / (1 + more) - render, 0.0)
     captures = np.clip(np.diag(base.covariance)[keep] - render, 0.0, known)
     sigma = np.array([table.metrics[i].sigma for i in keep])
     own = sigma**2 / np.maximum(table.sigma[keep] ** 2, 1e-300)

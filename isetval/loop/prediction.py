@@ -161,6 +161,11 @@ class Predictor:
         out[np.concatenate([self.rows[shot.name] for shot in self.shots])] = True
         return out
 
+    @property
+    def noise_free(self) -> NDArray[np.bool_]:
+        """Of which rows differences are taken between frames without noise, (metrics,)."""
+        return np.array([self.differences[m.shot].noise_free for m in self.table.metrics], bool)
+
     def over_workers(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
         """Places of calls and what they gave, done by the workers of this predictor."""
         return self._runner.results(calls)
