@@ -27,8 +27,8 @@ from isetval.lens.tracing import TracedLens
 ComplexArray = NDArray[np.complex128]
 FORMAT = 4
 HEIGHT_STEP_MM = 0.1  # spots change over the whole field; a cubic between such heights is good to .002 of the MTF
-# fitted ray-transfer files jump within .03 mm of the axis, where the meridian that they are turned into is undefined: from one
-# micrometre to the next an edge changed by more than ten sigmas.  No heights in between: on the axis itself nothing turns
+# fitted ray-transfer files jump within .03 mm of the axis, where the meridian that they are turned into is undefined: an edge
+# changed by 17 sigmas in 3 um.  No heights in between: on the axis itself nothing turns
 AXIS_HEIGHTS_MM = (0.0, 0.05)
 FILM_NODES_UM = (-60.0, -25.0, 0.0, 25.0, 60.0)  # from best focus; straight rays make straight lines, also beyond
 RINGS, AZIMUTHS = 8, 32  # rays traced: places are polynomials along a radius and Fourier series around, exact from here on

@@ -91,3 +91,20 @@ def test_claim(camera, name, claim):
         camera, changed = (model.replace(model.effect("quantization").changed(step_dn=1.0)) for model in (camera, changed))
     before, after = (dn(model, SHOTS[claim], "derivative") for model in (camera, changed))
     np.testing.assert_allclose(after, before, atol=0.01)  # a hundredth of a DN, with all noise
+
+
+BEHIND_A_PUPIL = [name for name, cls in catalogue().items() if cls.stage == "optics" and cls.acts_on == "irradiance"]
+
+
+@pytest.mark.parametrize("name", BEHIND_A_PUPIL)
+def test_it_moves_the_film_by_what_it_says(name, place, light):
+    """Beside the window's middle, where nothing that grows with the field is zero; whatever else it does to the pupil."""
+    effect = catalogue()[name]()
+    moved = {p.name: p.null + 0.3 * p.tau for p in effect.parameters() if p.tau is not None and p.null is not None}
+    effect = effect.changed(**{n: min(v, p.high) for p in effect.parameters() for n, v in moved.items() if n == p.name})
+    context = place(effect, window=CORNER)
+    before = light(shape=CORNER[2:])
+    after = effect.apply(before, context)
+    assert after.pupil.focus_um - before.pupil.focus_um == pytest.approx(effect.focus_shift_um(context), abs=1e-12)
+    if name in ("defocus", "field_curvature", "sensor_tilt"):
+        assert abs(effect.focus_shift_um(context)) > 0.1
