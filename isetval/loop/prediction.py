@@ -163,8 +163,9 @@ class Predictor:
 
     @property
     def noise_free(self) -> NDArray[np.bool_]:
-        """Of which rows differences are taken between frames without noise, (metrics,)."""
-        return np.array([self.differences[m.shot].noise_free for m in self.table.metrics], bool)
+        """Of which rows differences are taken between frames without noise, (metrics,); rows of several shots have none."""
+        shots = {name for name, how in self.differences.items() if how.noise_free}
+        return np.array([m.shot in shots for m in self.table.metrics], bool)
 
     def over_workers(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
         """Places of calls and what they gave, done by the workers of this predictor."""
