@@ -26,9 +26,8 @@ from isetval.testing.foreign_camera.campaign import in_setting, write_campaign
 from isetval.testing.foreign_camera.strengths import ALL, STRENGTHS, visible
 
 SEEDS = (71, 72, 73)  # of specimens that no trial uses
-WANTED = (10.0, 50.0)  # sigmas: above the noise of the products (about 4), below the bends of most metrics
+WANTED = (10.0, 50.0)  # sigmas: above the noise of the products (about 4), below the bends of most metrics; under them: not seen
 AIM = 20.0  # sigmas at which s is measured, where practice lies outside: near the trials' own strengths
-FAINT = 6.0  # sigmas below which nothing is measured but noise
 TOO_STRONG = 20.0  # times the size in practice: beyond it the effect is another one than what practice meets
 ROUNDS = 4
 
@@ -84,7 +83,7 @@ def s_at_one(calibration, concealed):
             break
         step = AIM / max(s, AIM / 5)
         strength *= max(step, 0.1) ** (1 / concealed.power)
-    return s / strength**concealed.power if s > FAINT and strength < TOO_STRONG else 0.0
+    return s / strength**concealed.power if s >= WANTED[0] and strength < TOO_STRONG else 0.0
 
 
 def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print):

@@ -108,6 +108,8 @@ def _chosen(kind, turn, seeds, plan, level):
     levels = LEVELS[kind]
     own = turn // len(levels)
     size = 2 if kind == "pair" else 1
+    if len(pool) < size:
+        raise SystemExit(f"--plan {plan}: strengths were never measured; run --calibrate --plan {plan} first")
     per_deck = len(pool) // size
     deck, card = divmod(own, per_deck)
     order = np.random.default_rng([SEEDS[seeds], KINDS.index(kind), levels.index(level), deck]).permutation(len(pool))

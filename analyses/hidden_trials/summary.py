@@ -20,7 +20,7 @@ def interval(k, n, z=1.96):
         return (0.0, 1.0)
     p, d = k / n, 1 + z * z / n
     middle, half = (p + z * z / (2 * n)) / d, z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / d
-    return (max(0.0, middle - half), min(1.0, middle + half))
+    return (min(max(0.0, middle - half), p), max(min(1.0, middle + half), p))  # rounding must not leave the share outside
 
 
 def share(rows, right):

@@ -123,9 +123,10 @@ class Effect:
     random numbers per sensor or per frame, and implements `apply` (or `apply_scene` for the scene
     stage).  ``absent`` says where it does not occur, ``imitated_by`` which others look like it.  ``order`` sorts effects
     of one stage when a model puts one in; ``must_not_change`` names what it leaves alone, of `UNTOUCHED`; ``rare`` says
-    that its pattern is a few pixels or lines of a specimen,
-    so that one draw says little of what to expect; ``step_share`` is the finite step of a fit as a share of the
-    distance from the null; ``whole_codes`` that it rounds codes anew, so that metrics are a stair of its parameters;
+    that its pattern is a few pixels or lines of a specimen, so that one draw says little of what to expect; ``counted``
+    that its parameter is how many such pixels there are, as which metrics go (that of other random effects is a standard
+    deviation, as the square of which they go); ``step_share`` is the finite step of a fit as a share of the distance from
+    the null; ``whole_codes`` that it rounds codes anew, so that metrics are a stair of its parameters;
     ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,
@@ -150,6 +151,7 @@ class Effect:
     candidate: ClassVar[bool] = True
     halo_px: ClassVar[int] = 0
     rare: ClassVar[bool] = False
+    counted: ClassVar[bool] = False
     step_share: ClassVar[float] = 0.2
     whole_codes: ClassVar[bool] = False
     needs_previous: ClassVar[bool] = False

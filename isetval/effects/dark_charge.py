@@ -120,6 +120,7 @@ class HotPixels(Effect):
     gives = "electron"
     random = "sensor"
     rare = True
+    counted = True
     step_share = 0.5  # a few hot pixels more or less: only far steps count enough
     order = 24.0
     absent = "short exposures, cooled cameras"
@@ -160,6 +161,7 @@ class TransientHits(Effect):
     gives = "electron"
     random = "frame"
     rare = True
+    counted = True
     step_share = 0.5  # a few hits more or less: only far steps count enough
     order = 32.0
     absent = "short exposures of small sensors on the ground"

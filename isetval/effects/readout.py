@@ -65,6 +65,7 @@ class Rts(Effect):
     gives = "electron"
     random = "frame"
     rare = True
+    counted = True
     step_share = 0.5  # a few hot pixels more or less: only far steps count enough
     order = 48.0
     absent = "large pixels, CCDs"

@@ -70,8 +70,13 @@ class Candidate:
 
     @property
     def draws_noise(self) -> bool:
-        """Whether it adds noise that is not there yet, so that metrics go as the square of its parameter."""
-        return self.effect.random != "none" and not self.effect.rare and bool(np.all(self.side == 1))
+        """Whether it adds noise, or a pattern of so many pixels that every draw of it is alike, that is not there yet."""
+        return not self.effect.rare and self.goes_as_square
+
+    @property
+    def goes_as_square(self) -> bool:
+        """Whether its parameter is a standard deviation that is not there yet: metrics go as its square."""
+        return self.effect.random != "none" and not self.effect.counted and bool(np.all(self.side == 1))
 
     def model_with(self, model: CameraModel) -> CameraModel:
         """The model in which the effect exists (at its null where it was absent)."""

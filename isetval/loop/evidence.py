@@ -236,7 +236,7 @@ def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dic
     """
     moved = mean * candidate.tau
     step = np.abs(signature.steps)
-    if candidate.draws_noise:
+    if candidate.goes_as_square:
         moved = step * np.sqrt(np.maximum(moved, 0.0) / step)
     reach = np.maximum(REACH * step, candidate.tau)
     low, high = ([getattr(p, side) for p in candidate.parameters] for side in ("low", "high"))

@@ -88,6 +88,9 @@ def test_intervals_are_wilsons():
     assert interval(0, 150) == (0.0, pytest.approx(1.96**2 / (150 + 1.96**2)))
     low, high = interval(10, 20)
     assert low + high == pytest.approx(1.0)
+    for k, n in ((k, total) for total in range(1, 60) for k in range(total + 1)):
+        low, high = interval(k, n)
+        assert 0 <= low <= k / n <= high <= 1  # a bar of an interval has no negative length, by rounding neither
 
 
 def test_sums_and_table_hold_all_kinds():

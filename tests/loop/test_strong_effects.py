@@ -78,6 +78,16 @@ def test_a_fit_starts_at_the_root_of_what_the_secant_says():
     assert first_values(candidate, signature, mean)[KEY] == pytest.approx(step / 2)
 
 
+@pytest.mark.parametrize(("name", "share"), [("column_fpn", 0.5), ("row_fpn", 0.5), ("hot_pixels", 0.25), ("rts", 0.25)])
+def test_patterns_of_lines_start_at_the_root_too_and_numbers_of_pixels_do_not(name, share):
+    """A quarter of what one step adds: of a variance half the standard deviation, of a count of pixels a quarter of them."""
+    effect = catalogue()[name]()
+    parameter = next(p for p in effect.parameters() if p.tau is not None and not p.shape)
+    candidate = Candidate(name, effect, (parameter,), False)
+    signature = SimpleNamespace(steps=candidate.tau)
+    assert first_values(candidate, signature, np.array([0.25]))[candidate.keys[0]] == pytest.approx(share * parameter.tau)
+
+
 def test_a_fit_starts_within_the_bounds():
     """A share of pixels below zero is nothing that could be simulated, whatever the secant says."""
     effect = catalogue()["rts"]()
