@@ -22,6 +22,7 @@ from isetval.loop.evidence import (
     with_steps,
 )
 from isetval.loop.fit import Fit, far_values
+from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.gaussian import log_volume
 from isetval.loop.posterior import NOTHING, Names, Posterior
 from isetval.loop.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
@@ -251,6 +252,7 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
     The effects stay as they were found, the nuisances of the hold-out are its own.  All are predicted at the nuisances that fit
     with what stands, and led from there to their bottoms by the same derivatives: fits of their own would end at other poses of
     the edges, where other noise is simulated (10 in ln Z between two models that are the same to a thousandth of a sigma).
+    By how much an effect moves the film, focus errors take back first: twice as far out of focus no derivative leads back.
     """
     asked = [h for h in others if h.names not in case.told and h is not case.standing]
     if case.held is None or not asked:
@@ -258,12 +260,17 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
     nominal = case.prepared.model
     problem, settled = case.held.settled(named_model(nominal, case.standing))
 
+    focus = [f for f in settled.free if f.focus]
+    shifts = focus_shifts(problem, settled.point.model, focus)
+
     def log_probability(found: Hypothesis) -> float:
-        (prediction,) = problem.predict([Point(named_model(nominal, found), settled.point.values)])
+        point = at_same_focus(problem, Point(named_model(nominal, found), settled.point.values), shifts, focus)
+        (prediction,) = problem.predict([point])
         z = problem.whitened(problem.measured - prediction)
         if not np.isfinite(z).all():
             return -np.inf
-        return weigh(linear_model(problem, replace(settled, prediction=prediction, z=z)), ()).log_evidence
+        values = np.array([point.values.get(f.label, 0.0) for f in settled.free])
+        return weigh(linear_model(problem, replace(settled, values=values, prediction=prediction, z=z)), ()).log_evidence
 
     stands = log_probability(case.standing)
     case.told |= {h.names: log_probability(h) - stands for h in asked}

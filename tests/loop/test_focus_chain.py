@@ -12,6 +12,7 @@ from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.evidence import hypothesis, refit
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
+from isetval.loop.investigation import Investigation, ask_holdout
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 
@@ -81,3 +82,14 @@ def test_a_fit_walks_from_wrong_focus_errors_to_the_film_that_moved(model, prepa
     assert sigma == pytest.approx(1 / np.sqrt(2 / 2.0**2 + 1 / 5.0**2), rel=0.05)
     # two priors of 2 um at 0 and one of 5 um on the film share 8 um as the least sum of squares has it
     assert value == pytest.approx(HIDDEN_UM / (1 + (2.0**2 / 2) / 5.0**2), abs=0.3)
+
+
+def test_the_hold_out_takes_a_film_that_moved_for_its_own_errors_of_focus(model, prepared, defocus):
+    """Errors of focus of 8 um at two places, priors of 2 um, cost 2 x 4^2/2; beside a film at z they are 8 - z."""
+    problem, nuisances = prepared.settled(model)
+    nothing = hypothesis(problem, (), nuisances)
+    found = refit(problem, model, nothing, (defocus,), {"defocus.z_um": 1.0}, {"defocus.z_um": 0.5})
+    case = Investigation(prepared, prepared, problem, nothing, (defocus,), (), {}, None)
+    ask_holdout(case, [found])
+    left = HIDDEN_UM - found.fitted.value("defocus.z_um")[0]
+    assert case.told[found.names] == pytest.approx((HIDDEN_UM**2 - left**2) / 2.0**2, abs=3.0)  # frames of two hold noise

@@ -205,7 +205,9 @@ EFFECTS = (
         fixed={"all_pixels": True},
         values=lambda p, c: {"strength": 1.0},
     ),
-    _effect("defocus", {"z_um": 3.0}, "autofocus of a phone stops within some um", seen=EDGES, values=_same(z_um="z_um")),
+    _effect(
+        "defocus", {"z_um": 3.0}, "autofocus of a phone stops within some um", seen=EDGES, power=2, values=_same(z_um="z_um")
+    ),
     _effect(
         "charge_diffusion",
         {"sigma_px": 0.15},
