@@ -59,7 +59,7 @@ def _options(words):
     parser = argparse.ArgumentParser(description="Score the detective on campaigns of another camera.")
     parser.add_argument("--n", type=int, default=500, help="trials (default: %(default)s)")
     parser.add_argument(
-        "--plan", choices=("small", "edges", "full"), default="full", help="shots of a campaign (default: %(default)s)"
+        "--plan", choices=("small", "edges", "full"), default="edges", help="shots of a campaign (default: %(default)s)"
     )
     parser.add_argument("--kinds", default="null,single,pair,form,outsider", help="what is hidden (default: %(default)s)")
     parser.add_argument(

@@ -28,6 +28,7 @@ from isetval.testing.foreign_camera.strengths import ALL, STRENGTHS, visible
 SEEDS = (71, 72, 73)  # of specimens that no trial uses
 WANTED = (10.0, 50.0)  # sigmas: above the noise of the products (about 4), below the bends of most metrics; under them: not seen
 AIM = 20.0  # sigmas at which s is measured, where practice lies outside: near the trials' own strengths
+AS_THE_POWER = 2.5  # ratio to the law within which twice the strength shows: metrics bend, products of noise follow no law
 TOO_STRONG = 20.0  # times the size in practice: beyond it the effect is another one than what practice meets
 ROUNDS = 4
 
@@ -73,7 +74,7 @@ class Calibration:
 
 
 def s_at_one(calibration, concealed):
-    """s at strength 1 by the power law, measured at a strength that stands out clearly."""
+    """s at strength 1 by the power law, measured at a strength that stands out clearly; 0 where nothing follows the law."""
     strength = 1.0
     for _ in range(ROUNDS):
         s = calibration.sigmas(concealed, strength)
@@ -83,7 +84,10 @@ def s_at_one(calibration, concealed):
             break
         step = AIM / max(s, AIM / 5)
         strength *= max(step, 0.1) ** (1 / concealed.power)
-    return s / strength**concealed.power if s >= WANTED[0] and strength < TOO_STRONG else 0.0
+    if s < WANTED[0] or strength >= TOO_STRONG:
+        return 0.0
+    twice = calibration.sigmas(concealed, 2 * strength) / (s * 2**concealed.power)
+    return s / strength**concealed.power if 1 / AS_THE_POWER < twice < AS_THE_POWER else 0.0
 
 
 def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print):
