@@ -58,6 +58,7 @@ def main(words=None):
 def _options(words):
     parser = argparse.ArgumentParser(description="Score the detective on campaigns of another camera.")
     parser.add_argument("--n", type=int, default=500, help="trials (default: %(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="trials to pass over: those that were looked at already")
     parser.add_argument(
         "--plan", choices=("small", "edges", "full"), default="edges", help="shots of a campaign (default: %(default)s)"
     )
@@ -94,7 +95,7 @@ def _run(options):
     if options.names:
         wanted = [draw.named(name, plan=options.plan) for name in options.names.split(",")]
     else:
-        wanted = draw.trials(options.n, seeds=options.seeds, plan=options.plan, kinds=kinds)
+        wanted = draw.trials(options.first + options.n, seeds=options.seeds, plan=options.plan, kinds=kinds)[options.first :]
     if options.rows.exists() and not options.resume:
         raise SystemExit(f"{options.rows}: holds rows already; add --resume to go on, or name another file with --rows")
     done = {row["id"] for row in _rows(options.rows)}
