@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import secrets
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from isetval.app.batch.run import Progress
+from isetval.app.batch.shooting import hidden_folder, shoot_on
 from isetval.camera.model import CameraModel
+from isetval.core.cache import code_hash, content_hash
 from isetval.core.campaign import Campaign
+from isetval.core.engine import Engine, Here
 from isetval.core.errors import InputError
 from isetval.core.jsonable import plain
 from isetval.core.toml import resolve_path
+from isetval.core.writing import write_whole
+from isetval.files.campaign_writer import check_free, shot_stems, write_tables
 from isetval.files.result_file import Answer, Commitment, Truth, checked, read_as
 
 COMMITMENT = "commitment.json"
@@ -40,6 +48,60 @@ def commitment_of(truth: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain(truth), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
+@dataclass(frozen=True, eq=False)
+class _Sealed:
+    """The shots of a challenge: the plan as files that the foreign camera reads, and that camera with what is hidden in it."""
+
+    files: tuple[tuple[str, bytes], ...]
+    plan: Campaign
+    camera: Any
+    seed: int
+    commitment: Mapping[str, Any]
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the shots."""
+        return [shot.name for shot in self.plan.shots]
+
+    def key(self) -> str:
+        """Of all that decides the bits, the code included."""
+        return content_hash((self.files, plain(vars(self.camera)), self.seed, code_hash()))
+
+    def is_rendered(self, number: int) -> bool:
+        """The foreign camera knows no renderer."""
+        return False
+
+    def take(self, folder: Path, number: int) -> None:
+        """Write the frames of a shot into a folder."""
+        from isetval.testing.foreign_camera.campaign import write_frames
+        from isetval.testing.foreign_camera.plan_file import shoot_shot
+
+        plan = _plan_of(self.files, self.camera)
+        planned = plan.shots[number]
+        written = write_frames(folder, planned, shoot_shot(plan, self.camera, number, self.seed), self.camera)
+        stem = shot_stems(self.plan.shots)[self.names[number]]
+        for i, name in enumerate(written):
+            (folder / name).rename(folder / f"{stem}_{i:02d}.dng")
+
+    def finish(self, folder: Path, files: Mapping[str, tuple[str, ...]]) -> None:
+        """Write the campaign's tables and the commitment."""
+        # neither seed nor model hash may stand in the files: with them the noise could be subtracted
+        write_tables(self.plan, folder, files, ["A sealed challenge: see commitment.json."])
+        write_whole(folder / COMMITMENT, json.dumps(self.commitment, indent=1) + "\n")
+
+
+def _plan_of(files: tuple[tuple[str, bytes], ...], camera: Any) -> Any:
+    """The foreign camera's plan from its files, on whatever machine."""
+    from isetval.testing.foreign_camera.plan_file import read_plan
+
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, data in files:
+            path = Path(scratch) / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        return read_plan(Path(scratch), camera)
+
+
 def make_challenge(
     model: CameraModel,
     plan: Campaign,
@@ -48,28 +110,39 @@ def make_challenge(
     truth_file: Path | str,
     seed: int | None = None,
     kind: str | None = None,
+    engine: Engine | None = None,
+    part: tuple[int, int] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Shoot ``plan`` with the foreign camera and something hidden in it; write campaign and commitment, the truth elsewhere.
 
     What is hidden comes from code that shares nothing with the catalogue (`isetval.testing.foreign_camera`): effects
     of the catalogue in forms of their own, wrong forms, and effects that no catalogue holds.
 
+    The truth is written first: the same call goes on with it where it was interrupted, and parts find it there.
+
     Parameters
     ----------
     model, plan
     folder : path
-        New folder for the campaign and ``commitment.json``.
+        New folder for the campaign and ``commitment.json``; it appears when the last shot is there.
     truth_file : path
         Kept by another party until the answer is given; not inside ``folder``.
     seed : int, optional
         For tests; without it even the maker does not know what is drawn.
     kind : str, optional
         ``null``, ``single``, ``pair``, ``form`` or ``outsider``; drawn (20, 30, 15, 15, 20 %) unless given.
+    engine : Engine, optional
+        What shoots (default: this process).
+    part : (i, n), optional
+        Only the i-th of n parts of the shots.
+    progress : callable, optional
+        ``progress(what, done, total)`` after every shot.
 
     Returns
     -------
     dict
-        The commitment.
+        The commitment, and how many of the ``shots`` are ``done``.
 
     Raises
     ------
@@ -77,39 +150,55 @@ def make_challenge(
         If a place is in use, the truth would lie inside the folder, or the foreign camera cannot shoot this plan with
         this model.
     """
-    from isetval.core.writing import write_whole
-    from isetval.files.campaign_writer import check_free
-
     folder, truth_file = Path(folder), Path(truth_file)
     check_free(folder)
     if truth_file.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"{truth_file}: lies inside the challenge {folder}; keep the truth elsewhere")
-    if truth_file.exists():
+    begun = read_as(truth_file, Truth) if truth_file.exists() else {}
+    own_seed = begun.get("seed", secrets.randbelow(2**31)) if seed is None else seed
+    truth, job = _drawn(model, plan, own_seed, kind, begun.get("nonce") or secrets.token_hex(16))
+    kept = hidden_folder(job, folder)
+    if begun and not (begun == truth and kept.is_dir()):
         raise InputError(f"{truth_file}: exists already; name a new file for the truth")
-    own_seed = secrets.randbelow(2**31) if seed is None else seed
-    rng = np.random.default_rng([own_seed, 0xC4A11E])
-    kind = kind or str(rng.choice(KINDS, p=CHANCES))
-    truth = _shoot(model, plan, folder, kind, own_seed, rng)
-    commitment = {
-        "commitment": commitment_of(truth),
-        "algorithm": "SHA-256 of the truth file's JSON with sorted keys and no spaces",
-        "model": model.name,
-        "model_sha256": model.digest(),
-        "plan": plan.name,
-    }
-    write_whole(folder / COMMITMENT, json.dumps(commitment, indent=1) + "\n")
-    write_whole(truth_file, json.dumps(plain(truth), indent=1) + "\n")
-    return commitment
+    try:
+        kept.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); choose a folder that is writable") from None
+    if not begun and not _is_first(truth_file, json.dumps(truth, indent=1) + "\n"):
+        with suppress(OSError):  # another part drew first; its truth holds
+            kept.rmdir()
+        return make_challenge(
+            model, plan, folder, truth_file=truth_file, seed=seed, kind=kind, engine=engine, part=part, progress=progress
+        )
+    done, shots = shoot_on(job, engine or Here(), folder, part=part, progress=progress)
+    return {**job.commitment, "done": done, "shots": shots}
 
 
-def _shoot(model: CameraModel, plan: Campaign, folder: Path, kind: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Plan and model as files, read by the foreign camera; its pictures and the plan in the folder; the truth."""
+def _is_first(path: Path, text: str) -> bool:
+    """Write a file unless it is there; whether it was not."""
+    own = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
+    write_whole(own, text)
+    try:
+        os.link(own, path)
+    except FileExistsError:
+        return False
+    finally:
+        own.unlink()
+    return True
+
+
+def _drawn(model: CameraModel, plan: Campaign, seed: int, kind: str | None, nonce: str) -> tuple[dict[str, Any], _Sealed]:
+    """The truth that a seed draws, and its shots: plan and model as files, read by the foreign camera."""
     from isetval.camera.model_file import load_model
     from isetval.camera.model_writer import save_model
-    from isetval.files.campaign_writer import write_campaign, write_tables
+    from isetval.files.campaign_writer import write_campaign
     from isetval.testing.foreign_camera.camera_file import nominal_camera
-    from isetval.testing.foreign_camera.plan_file import read_plan, roles_seen, shoot_plan
+    from isetval.testing.foreign_camera.campaign import draw_unknowns
+    from isetval.testing.foreign_camera.plan_file import read_plan, roles_seen
+    from isetval.testing.foreign_camera.sensor import specimen_of
 
+    rng = np.random.default_rng([seed, 0xC4A11E])
+    kind = kind or str(rng.choice(KINDS, p=CHANCES))
     with tempfile.TemporaryDirectory() as scratch:
         plain_plan = replace(plan.as_plan(), provenance={}, name="challenge")
         where = write_campaign(plain_plan, Path(scratch) / "plan")
@@ -117,15 +206,24 @@ def _shoot(model: CameraModel, plan: Campaign, folder: Path, kind: str, seed: in
         curves: Any = model.effect("quantum_efficiency")
         try:
             nominal = nominal_camera(where / "camera.toml", resolve_path(curves.file, Path(curves.base)) if curves else "")
-            hidden = _hidden(nominal, roles_seen(read_plan(where, nominal)), rng, kind)
-            folder.mkdir(exist_ok=True)
-            foreign = {entry["form"]: entry["foreign_parameters"] for entry in hidden}
-            files, unknowns = shoot_plan(where, nominal, folder, seed=seed, hidden=foreign)
+            foreign = read_plan(where, nominal)
+            hidden = _hidden(nominal, roles_seen(foreign), rng, kind)
         except ValueError as error:
             raise InputError(f"challenge: {error}") from None
-    # neither seed nor model hash may stand in the files: with them the noise could be subtracted
-    write_tables(plain_plan, folder, files, ["A sealed challenge: see commitment.json."])
-    return {"kind": kind, "effects": hidden, "seed": seed, "nuisances": unknowns, "nonce": secrets.token_hex(16)}
+        files = tuple(
+            (path.relative_to(where).as_posix(), path.read_bytes()) for path in sorted(where.rglob("*")) if path.is_file()
+        )
+    unknowns = {planned.place.name: draw_unknowns(planned, seed, foreign.priors) for planned in foreign.shots}
+    truth: dict[str, Any] = plain({"kind": kind, "effects": hidden, "seed": seed, "nuisances": unknowns, "nonce": nonce})
+    commitment = {
+        "commitment": commitment_of(truth),
+        "algorithm": "SHA-256 of the truth file's JSON with sorted keys and no spaces",
+        "model": model.name,
+        "model_sha256": model.digest(),
+        "plan": plan.name,
+    }
+    camera = specimen_of(nominal, seed, {entry["form"]: entry["foreign_parameters"] for entry in hidden})
+    return truth, _Sealed(files, plain_plan, camera, seed, commitment)
 
 
 def _hidden(nominal: Any, seen: set[str], rng: np.random.Generator, kind: str) -> list[dict[str, Any]]:

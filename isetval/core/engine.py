@@ -105,39 +105,43 @@ def run_works(
     pending: dict[Future[R], _Work[T]] = {}
     alone, deaths = False, 0
     executor = engine.executor()
-    while True:
-        while len(pending) < most and not alone and not (queues.suspects and pending):
-            work, alone = queues.take()
-            if work is None:
-                break
-            try:
-                pending[executor.submit(function, work.items)] = work
-            except BrokenExecutor:  # it broke while it was idle: no work's doing
-                queues.suspects.appendleft(work)
-                executor, alone, deaths = engine.executor(broken=True), False, _counted(deaths)
-        if not pending:
-            return
-        broken: list[_Work[T]] = []
-        done = wait(pending, return_when=FIRST_COMPLETED).done
-        if any(isinstance(future.exception(), BrokenExecutor) for future in done if not future.cancelled()):
-            done = wait(pending).done  # a broken pool has no other futures than broken ones
-        for future in done:
-            work = pending.pop(future)
-            try:
-                result = future.result()
-            except (Exception, CancelledError) as error:
-                if not _worker_died(error):
-                    raise
-                broken.append(work)
-            else:
-                deaths = 0
-                yield work.items, result
-        if broken:
-            executor, deaths = engine.executor(broken=True), _counted(deaths)
-            if alone:
-                yield from _halved(broken.pop(), queues)
-            queues.suspects.extend(broken)
-        alone = alone and bool(pending)
+    try:
+        while True:
+            while len(pending) < most and not alone and not (queues.suspects and pending):
+                work, alone = queues.take()
+                if work is None:
+                    break
+                try:
+                    pending[executor.submit(function, work.items)] = work
+                except BrokenExecutor:  # it broke while it was idle: no work's doing
+                    queues.suspects.appendleft(work)
+                    executor, alone, deaths = engine.executor(broken=True), False, _counted(deaths)
+            if not pending:
+                return
+            broken: list[_Work[T]] = []
+            done = wait(pending, return_when=FIRST_COMPLETED).done
+            if any(isinstance(future.exception(), BrokenExecutor) for future in done if not future.cancelled()):
+                done = wait(pending).done  # a broken pool has no other futures than broken ones
+            for future in done:
+                work = pending.pop(future)
+                try:
+                    result = future.result()
+                except (Exception, CancelledError) as error:
+                    if not _worker_died(error):
+                        raise
+                    broken.append(work)
+                else:
+                    deaths = 0
+                    yield work.items, result
+            if broken:
+                executor, deaths = engine.executor(broken=True), _counted(deaths)
+                if alone:
+                    yield from _halved(broken.pop(), queues)
+                queues.suspects.extend(broken)
+            alone = alone and bool(pending)
+    finally:
+        for future in pending:  # whoever asked wants no more
+            future.cancel()
 
 
 def _counted(deaths: int) -> int:

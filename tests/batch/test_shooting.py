@@ -7,6 +7,7 @@ from faults import dask_cluster
 import isetval
 from isetval.app.cli import main
 from isetval.core.campaign import Campaign, Shot
+from isetval.core.scene import RenderedTarget
 from isetval.core.sensor import Exposure, Window
 from isetval.core.toml import data_folder
 from isetval.files.campaign_writer import write_campaign
@@ -84,6 +85,23 @@ def test_a_killed_run_goes_on(plan, quiet, tmp_path):
         assert (tmp_path / "night" / marked.name).stat().st_mtime_ns == was  # the same file, not shot again
     assert bytes_of(tmp_path / "night") == quiet
     assert [path.name for path in tmp_path.iterdir()] == ["night"]
+
+
+@pytest.mark.mitsuba
+def test_passes_of_a_rendered_shot_go_to_the_workers(tmp_path, monkeypatch):
+    """A dark and a rendered box: the folder of one process without engine to the last byte, with nothing rendered before."""
+    model = isetval.load_model(MODEL)
+    render = {"spp": 32, "halo_px": 4, "bands": 5, "subsample": 1, "seed": 1}
+    spec = {"kind": "cornell_box", "parameters": {"bounces": 3}, "camera": {"front": {"z_m": 0.4}}, "render": render}
+    box = Shot(
+        "box", "scene", exposure=Exposure(0.002, 55), frames=2, window=(1500, 2000, 24, 32), target=RenderedTarget("box", spec)
+    )
+    dark = Shot("dark", "dark", exposure=Exposure(0.002, 55), window=(1500, 2000, 24, 32))
+    written = write_campaign(Campaign("box", (dark, box), sensor=model.sensor), tmp_path / "plan") / "campaign.toml"
+    for name, words in (("one", ()), ("two", ("--jobs", "2"))):
+        monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path / f"cache {name}"))
+        assert simulated(written, tmp_path / name, *words) == 0
+    assert bytes_of(tmp_path / "two") == bytes_of(tmp_path / "one")
 
 
 @pytest.mark.slow

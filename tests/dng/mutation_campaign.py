@@ -1,6 +1,7 @@
 """Mutants of DNG files and pictures: what a reader of untrusted files meets.  For the quick test, and a campaign by itself.
 
     python tests/dng/mutation_campaign.py --files 20000 --seed 1 [--kind dng | pictures]
+    python tests/dng/mutation_campaign.py --merge log1.json log2.json > reports/fuzzing_dng.json
 
 A mutant must end in a capture or in one sentence (`InputError`), within two seconds and one gigabyte, and never as a frame
 of one value.  Counts and the worst time and memory are printed as JSON; whatever breaks the rule is kept in --keep.
@@ -159,13 +160,32 @@ def peak_bytes():
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
+def merged(logs):
+    """The logs of campaigns with other seeds as one."""
+    counts = collections.Counter()
+    for log in logs:
+        counts.update(log["counts"])
+    return {
+        "files": sum(log["files"] for log in logs),
+        "seeds": [log["seed"] for log in logs],
+        "counts": dict(sorted(counts.items())),
+        "broken": [line for log in logs for line in log["broken"]],
+        "slowest_s": max(log["slowest_s"] for log in logs),
+        "peak_growth_mb": max(log["peak_growth_mb"] for log in logs),
+    }
+
+
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", choices=("dng", "pictures"), default="dng")
     parser.add_argument("--keep", type=Path, default=Path("mutants"))
+    parser.add_argument("--merge", type=Path, nargs="+", help="logs of earlier campaigns, made one")
     args = parser.parse_args()
+    if args.merge:
+        print(json.dumps(merged([json.loads(path.read_text()) for path in args.merge]), indent=1))
+        return 0
     from isetval import read_dng
 
     rng = np.random.default_rng(args.seed)

@@ -2,6 +2,7 @@
 
 The hidden folder is named after what is shot (model, plan, seed, code): the same command goes on where it was, and parts
 of one simulation (``--shard``) on one disk find each other's shots.  A shot's folder is renamed into its place when it is whole.
+A rendered shot is taken here, and the passes of its renders go to the workers.
 """
 
 from __future__ import annotations
@@ -13,17 +14,44 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from isetval.app.batch.run import Progress
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import shoot_one, shot_setup
 from isetval.core.cache import code_hash, content_hash
 from isetval.core.campaign import Campaign
-from isetval.core.engine import Engine, Lost, run_works
+from isetval.core.engine import Engine, Here, Lost, run_works
 from isetval.core.errors import InputError
+from isetval.core.scene import RenderedTarget
 from isetval.core.threads import one_blas_thread
 from isetval.files.campaign_writer import check_free, shot_stems, write_frames, write_tables
+from isetval.scenes.rendered.rendering import passes_on
+
+
+class Shots(Protocol):
+    """Shots of a plan that any process can take by number; it can be pickled."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the shots."""
+        ...
+
+    def key(self) -> str:
+        """Of all that decides the bits, the code included."""
+        ...
+
+    def is_rendered(self, number: int) -> bool:
+        """Whether a shot's work is a render, whose passes are taken by workers."""
+        ...
+
+    def take(self, folder: Path, number: int) -> None:
+        """Write the frames of a shot into an empty folder, in order of name, under names that no other shot has."""
+        ...
+
+    def finish(self, folder: Path, files: Mapping[str, tuple[str, ...]]) -> None:
+        """Write what stands beside the frames of all shots (file names by shot)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +73,31 @@ class Shooting:
         options = (self.seed, dict(self.values or {}), self.draw, self.sensor_seed)
         return content_hash((self.model.digest(), setups, names, self.plan.nuisances, self.plan.sensor, options, code_hash()))
 
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the shots."""
+        return [shot.name for shot in self.plan.shots]
+
+    def is_rendered(self, number: int) -> bool:
+        """Whether a shot shows a scene that is rendered."""
+        return isinstance(self.plan.shots[number].target, RenderedTarget)
+
+    def take(self, folder: Path, number: int) -> None:
+        """Write the frames of a shot into a folder."""
+        frames = shoot_one(
+            self.model, self.plan, number, self.seed, values=self.values, draw=self.draw, sensor_seed=self.sensor_seed
+        )
+        stem = shot_stems(self.plan.shots)[self.plan.shots[number].name]
+        write_frames(folder, self.campaign, frames, stem=stem, model=self.model)
+
+    def finish(self, folder: Path, files: Mapping[str, tuple[str, ...]]) -> None:
+        """Write the campaign's tables beside its frames."""
+        write_tables(self.campaign, folder, dict(files), ())
+
 
 @one_blas_thread()
-def shoot_works(job: Shooting, folder: str, numbers: Sequence[int]) -> int:
+def shoot_works(job: Shots, folder: str, numbers: Sequence[int]) -> int:
     """Shoot and write shots by number; how many were not there yet."""
-    stems = shot_stems(job.plan.shots)
     made = 0
     for number in numbers:
         place = _place(Path(folder), number)
@@ -57,10 +105,7 @@ def shoot_works(job: Shooting, folder: str, numbers: Sequence[int]) -> int:
             continue
         own = Path(tempfile.mkdtemp(dir=folder, prefix=".shot"))
         try:
-            frames = shoot_one(
-                job.model, job.plan, number, job.seed, values=job.values, draw=job.draw, sensor_seed=job.sensor_seed
-            )
-            write_frames(own, job.campaign, frames, stem=stems[job.plan.shots[number].name], model=job.model)
+            job.take(own, number)
             _rename(own, place)
         finally:
             shutil.rmtree(own, ignore_errors=True)
@@ -81,14 +126,19 @@ def _rename(own: Path, place: Path) -> None:
             raise
 
 
+def hidden_folder(job: Shots, target: Path) -> Path:
+    """Where shots are kept until the last one is there."""
+    return target.resolve().parent / f".{target.name}.{job.key()[:16]}"
+
+
 def shoot_on(
-    job: Shooting, engine: Engine, target: Path, *, part: tuple[int, int] | None = None, progress: Progress | None = None
+    job: Shots, engine: Engine, target: Path, *, part: tuple[int, int] | None = None, progress: Progress | None = None
 ) -> tuple[int, int]:
     """Shoot a plan, or the i-th of n parts of its shots, on an engine.
 
     Parameters
     ----------
-    job : Shooting
+    job : Shots
     engine : Engine
     target : Path
         Becomes the campaign's folder when the last shot is there, in whatever run that is.
@@ -106,19 +156,23 @@ def shoot_on(
         If ``target`` is in use, cannot be written, or the workers end again and again.
     """
     check_free(target)
-    folder = target.resolve().parent / f".{target.name}.{job.key()[:16]}"
-    shots = range(len(job.plan.shots))
+    folder = hidden_folder(job, target)
+    shots = range(len(job.names))
     own = shots if part is None else shots[part[0] - 1 :: part[1]]
     try:
         folder.mkdir(exist_ok=True)
-        todo = [[number] for number in own if not _place(folder, number).is_dir()]
+        todo = [number for number in own if not _place(folder, number).is_dir()]
         done = len(own) - len(todo)
-        for items, result in run_works(partial(shoot_works, job, str(folder)), todo, engine):
-            if isinstance(result, Lost):
-                raise InputError(f"shot {job.plan.shots[items[0]].name}: {result.words.replace('read', 'shot')}")
-            done += len(items)
-            if progress is not None:
-                progress(f"shooting {job.plan.shots[items[0]].name}", done, len(own))
+        rendered = [[number] for number in todo if job.is_rendered(number)]
+        others = [[number] for number in todo if not job.is_rendered(number)]
+        for works, engines in ((rendered, (Here(), engine)), (others, (engine, Here()))):
+            with passes_on(engines[1]):
+                for items, result in run_works(partial(shoot_works, job, str(folder)), works, engines[0]):
+                    if isinstance(result, Lost):
+                        raise InputError(f"shot {job.names[items[0]]}: {result.words.replace('read', 'shot')}")
+                    done += len(items)
+                    if progress is not None:
+                        progress(f"shooting {job.names[items[0]]}", done, len(own))
         there = [number for number in shots if _place(folder, number).is_dir()]
         if len(there) == len(shots):
             _assemble(job, folder, target)
@@ -129,7 +183,7 @@ def shoot_on(
     return len(there), len(shots)
 
 
-def _assemble(job: Shooting, folder: Path, target: Path) -> None:
+def _assemble(job: Shots, folder: Path, target: Path) -> None:
     """The campaign's folder from those of its shots, renamed into its place; they go when it is there.
 
     It is made among them, so that what a killed run leaves of it goes with them.
@@ -138,12 +192,12 @@ def _assemble(job: Shooting, folder: Path, target: Path) -> None:
     scratch.chmod(0o755)
     try:
         files: dict[str, tuple[str, ...]] = {}
-        for number, shot in enumerate(job.plan.shots):
+        for number, name in enumerate(job.names):
             frames = sorted(_place(folder, number).iterdir())
             for frame in frames:
                 _linked(frame, scratch / frame.name)
-            files[shot.name] = tuple(frame.name for frame in frames)
-        write_tables(job.campaign, scratch, files, ())
+            files[name] = tuple(frame.name for frame in frames)
+        job.finish(scratch, files)
         if target.is_dir():
             target.rmdir()
         os.replace(scratch, target)

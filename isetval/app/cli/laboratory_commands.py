@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from isetval.app.cli.batch_measure import add_engine_options, engine_of
 from isetval.app.cli.console import Console
 from isetval.app.cli.loop_commands import default_jobs, load_both, positive
+from isetval.app.cli.measure_command import shard
 from isetval.app.cli.outcome import BAD_INPUT, FINE, Outcome
 
 CHALLENGE_KINDS = ("null", "single", "pair", "form", "outsider")  # as in isetval.app.challenge, which takes time to import
@@ -49,6 +51,10 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     p.add_argument("--truth", type=Path, help="where the truth goes (default: DIR.truth.json); another party keeps it")
     p.add_argument("--kind", choices=CHALLENGE_KINDS, help="what is hidden (default: drawn)")
     p.add_argument("--seed", type=int, help="for tests; by default nobody knows it")
+    add_engine_options(
+        p.add_argument_group("many processes", "An interrupted command goes on where it was when it is given again.")
+    )
+    p.add_argument("--shard", metavar="i/n", type=shard, help="only the i-th of n parts of the shots (for clusters)")
     p.set_defaults(handler=challenge_make, writes_result=False)
     p = actions.add_parser(
         "reveal", parents=[common], help="open a challenge and score an answer", description=challenge_reveal.__doc__
@@ -124,9 +130,25 @@ def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
     model, plan, inputs = load_both(args.model, args.plan)
     truth = args.truth or Path(f"{args.output}.truth.json")
     console.say("shooting the plan")
-    made = make_challenge(model, plan, args.output, truth_file=truth, seed=args.seed, kind=args.kind)
+    engine, finished = engine_of(args), False
+    try:
+        made = make_challenge(
+            model,
+            plan,
+            args.output,
+            truth_file=truth,
+            seed=args.seed,
+            kind=args.kind,
+            engine=engine,
+            part=args.shard,
+            progress=console.progress,
+        )
+        finished = True
+    finally:
+        engine.close(wait=finished)
+    missing = f" appears when the other parts are shot: {made['done']} of {made['shots']} shots are there"
     lines = [
-        f"challenge: {args.output}",
+        f"challenge: {args.output}{missing if made['done'] < made['shots'] else ''}",
         f"commitment: {made['commitment']}",
         f"truth: {truth} (give it to another party, unread)",
     ]

@@ -8,8 +8,9 @@ after every pass, so that a killed render goes on where it was and ends with the
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core import cache
+from isetval.core.engine import Engine, Here, Lost, run_works
 from isetval.core.errors import InputError
 
 Float = NDArray[np.float64]
@@ -233,6 +235,7 @@ def run_passes(
     bands: int,
     folder: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
+    engine: Engine | None = None,
 ) -> tuple[Running, float]:
     """Render the passes of one tile, going on from what ``folder`` holds of them.
 
@@ -246,6 +249,8 @@ def run_passes(
         Folder of this tile's state; it must belong to this plan's scene and seed alone.
     progress : callable, optional
         Called with (passes done, noise reached; nan without a target).
+    engine : Engine, optional
+        Where passes are drawn (``draw`` can be pickled then); they are added in their order, so that the bits are the same.
 
     Returns
     -------
@@ -257,8 +262,9 @@ def run_passes(
     shape = (plan.tile[2], plan.tile[3])
     weights = plan.target.weights(bands) if plan.target else np.zeros(bands)
     image, watched = _resume(folder, (bands, *shape), plan)
+    passes = _in_order(plan, draw, image.count, engine or Here())
     while image.count < plan.passes and not (plan.target and plan.target.reached(watched)):
-        drawn = draw(pass_seed(plan.seed, plan.tile, image.count), plan.spp_per_pass)
+        drawn = next(passes)
         image = image.add(drawn)
         watched = watched.add(np.tensordot(weights, drawn, 1))
         if folder is not None:
@@ -266,6 +272,26 @@ def run_passes(
         if progress is not None:
             progress(image.count, plan.target.noise(watched) if plan.target and image.count > 1 else float("nan"))
     return image, plan.target.noise(watched) if plan.target and image.count > 1 else float("nan")
+
+
+def _in_order(plan: PassPlan, draw: Callable[[int, int], Float], first: int, engine: Engine) -> Iterator[Float]:
+    """The passes from the ``first`` on; those that come early wait here, a few for each worker."""
+    early: dict[int, Float] = {}
+    wanted = first
+    works = ([index] for index in range(first, plan.passes))
+    for (index,), drawn in run_works(partial(_draw, draw, plan), works, engine, in_flight=1 if engine.workers == 1 else 0):
+        if isinstance(drawn, Lost):
+            raise InputError(f"pass {index + 1} of a render: {drawn.words.replace('read', 'drew')}")
+        early[index] = drawn
+        while wanted in early:
+            yield early.pop(wanted)
+            wanted += 1
+
+
+def _draw(draw: Callable[[int, int], Float], plan: PassPlan, indices: Sequence[int]) -> Float:
+    """One pass by its number."""
+    (index,) = indices
+    return draw(pass_seed(plan.seed, plan.tile, index), plan.spp_per_pass)
 
 
 KINDS, PARTS = ("image", "watched"), ("mean", "squares", "contrasts", "balance")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import asdict
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from isetval.core import cache as store
 from isetval.core.cache import content_hash
+from isetval.core.engine import Engine
 from isetval.core.errors import InputError
 from isetval.scenes.rendered.accumulation import DRAWS, Crop, NoiseTarget, PassPlan, Progress, Render, Running, run_passes
 from isetval.scenes.rendered.lens_tables import LensTables
@@ -181,7 +185,7 @@ class Job:
         passes, spp_per_pass = split_passes(self.spp, tile[2] * tile[3])
         plan = PassPlan(tile, passes, spp_per_pass, self.seed, self.target)
         folder = store.cache_folder() / "renders" / self._key(plan) if self.keep else None
-        lazy = _LazyTile(self, tile)
+        lazy = _LazyTile.of(self, tile)
 
         def report(done: int, noise: float) -> None:
             if self.progress is not None:
@@ -190,40 +194,76 @@ class Job:
                     index * passes + done, self.tiles * passes, words + (f", noise {noise:.3g}" if noise == noise else "")
                 )
 
-        running, noise = run_passes(plan, lazy.radiance, bands=len(self.bands), folder=folder, progress=report)
+        running, noise = run_passes(
+            plan, lazy.radiance, bands=len(self.bands), folder=folder, progress=report, engine=_ENGINE.get()
+        )
         depth = None if self.lens else _cached_depth(folder, tile, lazy)
         done = {"tile": list(tile), "passes": running.count, "spp": running.count * spp_per_pass, "noise": noise}
         return running, depth, done
 
 
 class _LazyTile:
-    """Loads the scene only when a pass is really needed."""
+    """Loads the scene only when a pass is really needed; in another process a copy does, once for all of its passes."""
 
-    def __init__(self, job: Job, tile: Crop) -> None:
-        self._job, self._tile = job, tile
+    def __init__(self, key: str, made_of: Mapping[str, Any]) -> None:
+        self._key, self._made_of = key, made_of
         self._loaded: Any = None
+
+    @classmethod
+    def of(cls, job: Job, tile: Crop) -> _LazyTile:
+        """A tile of a job."""
+        made_of = {
+            "spec": job.spec,
+            "camera": job.camera,
+            "crop": tile,
+            "wavelength_nm": job.bands.tolist(),
+            "variant": job.choice.variant,
+            "library": job.choice.library,
+            "lens": job.lens,
+        }
+        return cls(content_hash((job.content, job.bands, tile, job.choice.variant)), made_of)
+
+    def __reduce__(self) -> Any:
+        return _held, (self._key, self._made_of)
 
     def _scene(self) -> Any:
         from isetval.scenes.rendered.mitsuba_backend import Tile
 
         if self._loaded is None:
-            job = self._job
-            self._loaded = Tile(
-                job.spec,
-                job.camera,
-                crop=self._tile,
-                wavelength_nm=job.bands.tolist(),
-                variant=job.choice.variant,
-                library=job.choice.library,
-                lens=job.lens,
-            )
+            self._loaded = Tile(**self._made_of)
         return self._loaded
 
     def radiance(self, seed: int, spp: int) -> NDArray[np.float64]:
-        return np.asarray(self._scene().radiance(seed, spp))
+        with _RENDERING:
+            return np.asarray(self._scene().radiance(seed, spp))
 
     def depth_m(self) -> NDArray[np.float64]:
         return np.asarray(self._scene().depth_m())
+
+
+_RENDERING = Lock()  # a cluster's worker may have several threads; the renderer uses all cores by itself
+_HELD: dict[str, _LazyTile] = {}
+
+
+def _held(key: str, made_of: Mapping[str, Any]) -> _LazyTile:
+    """The tile that this process rendered last, or a new one in its place."""
+    if key not in _HELD:
+        _HELD.clear()
+        _HELD[key] = _LazyTile(key, made_of)
+    return _HELD[key]
+
+
+_ENGINE: ContextVar[Engine | None] = ContextVar("engine of render passes", default=None)
+
+
+@contextmanager
+def passes_on(engine: Engine) -> Iterator[None]:
+    """Within the block the passes of every render are drawn on ``engine``; the bits are those of one process."""
+    before = _ENGINE.set(engine)
+    try:
+        yield
+    finally:
+        _ENGINE.reset(before)
 
 
 def _cached_depth(folder: Path | None, tile: Crop, lazy: _LazyTile) -> NDArray[np.float64]:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import spectra
-from .campaign import draw_unknowns, shoot, write_frames
+from .campaign import draw_unknowns, shoot
 from .plan import Planned, Prior
-from .sensor import specimen_of
-from .types import Camera, Chart, Curve, Edge, Float, Hidden, Place
+from .scene import mean_electrons
+from .types import Camera, Chart, Codes, Curve, Edge, Float, Place
 
 # what a laboratory does that this camera cannot: shots that say so are refused
 CANNOT = ("rotation_deg", "focus_m", "distance_m", "metrics", "photons_per_pixel", "iso", "method", "channel")
@@ -54,24 +54,17 @@ def read_plan(folder: Path, camera: Camera) -> Plan:
     return Plan(shots, priors, lights)
 
 
-def shoot_plan(
-    folder: Path, nominal: Camera, out: Path, *, seed: int, hidden: Hidden | None = None
-) -> tuple[dict[str, tuple[str, ...]], dict[str, dict[str, float]]]:
-    """Shoot the plan in ``folder`` with what is hidden into DNG files in ``out``: files and drawn unknowns of each shot.
+def shoot_shot(plan: Plan, camera: Camera, number: int, seed: int) -> Codes:
+    """The frames of one shot, (frames, rows, cols) uint16; shots may be taken in any order and by any process.
 
-    Raises
-    ------
-    ValueError
-        If the plan is of a kind that this camera does not have.
+    Of the shot before only the charge counts that lag takes over, which needs none of its frames.
     """
-    plan = read_plan(folder, nominal)
-    camera = specimen_of(nominal, seed, hidden)
-    files, unknowns, before = {}, {}, 0.0
-    for planned in plan.shots:
-        codes, before = shoot(planned, camera, plan.lights, seed, priors=plan.priors, before_e=before)
-        files[planned.place.name] = write_frames(out, planned, codes, nominal)
-        unknowns[planned.place.name] = draw_unknowns(planned, seed, plan.priors)
-    return files, unknowns
+    before = 0.0
+    if number and "lag" in camera.hidden:
+        last = plan.shots[number - 1]
+        place = replace(last.place, unknown=draw_unknowns(last, seed, plan.priors))
+        before = float(mean_electrons(camera, place, plan.lights).mean())
+    return shoot(plan.shots[number], camera, plan.lights, seed, priors=plan.priors, before_e=before)[0]
 
 
 def roles_seen(plan: Plan) -> set[str]:
