@@ -286,6 +286,15 @@ class Cluster:
         executor: Executor = self._client.get_executor(retries=2, pure=False)
         return executor
 
+    def executors(self) -> list[Executor]:
+        """One for each worker process that is there now, for works that profit from what a worker remembers.
+
+        If that worker dies, its works go to another one.
+        """
+        self._check_running()
+        wanted = {"allow_other_workers": True, "retries": 2, "pure": False}
+        return [self._client.get_executor(workers=[address], **wanted) for address in sorted(self._client.nthreads())]
+
     def close(self, *, wait: bool = True) -> None:
         """Leave the cluster; its workers stay."""
         self._client.close()

@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 
+from isetval.core.engine import Cluster
+from isetval.core.threads import one_blas_thread
 from isetval.core.workers import single_worker
 from isetval.loop.telling import Counted
 
@@ -37,6 +40,21 @@ class _Workers:
 
 _SHARED: dict[int, _Workers] = {}
 _LOCK = Lock()
+_CLUSTERS: list[Cluster] = []
+
+
+@contextmanager
+def on_cluster(cluster: Cluster | None) -> Iterator[None]:
+    """Within the block runners of this process give their calls to a cluster's workers; without one all is as it was."""
+    if cluster is None:
+        yield
+        return
+    _CLUSTERS.append(cluster)
+    try:
+        yield
+    finally:
+        _CLUSTERS.remove(cluster)
+        cluster.close()
 
 
 @dataclass(eq=False)
@@ -52,7 +70,8 @@ class Runner:
     _workers: _Workers | None = None
 
     def __post_init__(self) -> None:
-        self.jobs = max(1, min(self.jobs, os.cpu_count() or 1))
+        self._far: Sequence[Executor] = _CLUSTERS[-1].executors() if _CLUSTERS else ()
+        self.jobs = len(self._far) or max(1, min(self.jobs, os.cpu_count() or 1))
 
     def close(self) -> None:
         """Let the workers go; those that nobody else uses end."""
@@ -68,8 +87,10 @@ class Runner:
         for pool in workers.pools:
             pool.shutdown(wait=False, cancel_futures=True)
 
-    def _pools(self) -> list[ProcessPoolExecutor]:
+    def _pools(self) -> Sequence[Executor]:
         """The workers, started for whoever asks first."""
+        if self._far:
+            return self._far
         with _LOCK:
             if self._workers is None:
                 self._workers = _SHARED.setdefault(self.jobs, _Workers([]))
@@ -81,7 +102,9 @@ class Runner:
     def results(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
         """Places of the calls and what they gave, as they are done."""
         total, done = sum(call.size for call in calls), 0
-        for i, result in self._here(calls) if self.jobs == 1 or len(calls) < TOO_FEW else self._elsewhere(calls):
+        for i, result in (
+            self._here(calls) if (self.jobs == 1 and not self._far) or len(calls) < TOO_FEW else self._elsewhere(calls)
+        ):
             yield i, result
             done += calls[i].size
             if self.progress is not None:
@@ -102,7 +125,7 @@ class Runner:
             own = queues[worker] or max(queues, key=len)
             if own:
                 i = own.popleft() if own is queues[worker] else own.pop()
-                flying[pools[worker].submit(calls[i].function, *calls[i].arguments)] = (i, worker)
+                flying[pools[worker].submit(_done, calls[i].function, calls[i].arguments)] = (i, worker)
 
         for worker in list(range(self.jobs)) * IN_FLIGHT:
             start(worker)
@@ -116,3 +139,9 @@ class Runner:
         finally:
             for future in flying:  # whoever asked stopped, or a call failed
                 future.cancel()
+
+
+@one_blas_thread()
+def _done(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """A call in a worker: a cluster's has as many BLAS threads as it likes otherwise."""
+    return function(*arguments)

@@ -12,7 +12,7 @@ from isetval.app.cli.outcome import BAD_INPUT, FINE, MEASURED_SUFFIXES, Outcome
 
 if TYPE_CHECKING:
     from isetval.app.batch.run import Batch
-    from isetval.core.engine import Engine
+    from isetval.core.engine import Cluster, Engine
 
 MOST_NAMED = 50  # files left out that are named on the screen; all of them stand in the result
 
@@ -34,6 +34,11 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
 def add_engine_options(group: argparse._ArgumentGroup) -> None:
     """What does the work: processes of this machine or a cluster."""
     group.add_argument("-j", "--jobs", type=int, metavar="N", help="N processes of this machine")
+    add_cluster_options(group)
+
+
+def add_cluster_options(group: argparse._ActionsContainer) -> None:
+    """A cluster in place of processes of this machine."""
     group.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, as tcp://host:8786 (extra 'cluster')")
     group.add_argument("--scheduler-file", metavar="FILE", help="the JSON file of a dask scheduler (extra 'cluster')")
 
@@ -115,6 +120,17 @@ def _own_store() -> Path | None:
     return None if folder.is_relative_to(os.devnull) else folder
 
 
+def cluster_of(args: argparse.Namespace) -> Cluster | None:
+    """The cluster that the options name, None where they name none; two are refused."""
+    from isetval.core.engine import Cluster
+    from isetval.core.errors import InputError
+
+    if args.scheduler and args.scheduler_file:
+        raise InputError("--scheduler and --scheduler-file are different engines; name one of them")
+    named = args.scheduler or args.scheduler_file
+    return Cluster(args.scheduler or "", file=args.scheduler_file or "") if named else None
+
+
 def engine_of(args: argparse.Namespace) -> Engine:
     """The engine that the options name; this process where they name none.
 
@@ -123,15 +139,15 @@ def engine_of(args: argparse.Namespace) -> Engine:
     InputError
         If they name two.
     """
-    from isetval.core.engine import Cluster, Here, Processes
+    from isetval.core.engine import Here, Processes
     from isetval.core.errors import InputError
 
     isolate = getattr(args, "isolate", False)
     if sum(map(bool, (args.jobs is not None or isolate, args.scheduler, args.scheduler_file))) > 1:
         own = "--jobs or --isolate" if hasattr(args, "isolate") else "--jobs"
         raise InputError(f"{own}, --scheduler and --scheduler-file are different engines; name one of them")
-    if args.scheduler or args.scheduler_file:
-        return Cluster(args.scheduler or "", file=args.scheduler_file or "")
+    if (cluster := cluster_of(args)) is not None:
+        return cluster
     return Here() if args.jobs is None and not isolate else Processes(1 if args.jobs is None else args.jobs)
 
 

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isetval.app.cli.batch_measure import add_engine_options, engine_of, has_engine
+from isetval.app.cli.batch_measure import add_cluster_options, add_engine_options, cluster_of, engine_of, has_engine
 from isetval.app.cli.console import Console
 from isetval.app.cli.curves import curve_options, shots_of
 from isetval.app.cli.measure_command import shard
@@ -22,6 +22,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
     """The commands and their options."""
     jobs = argparse.ArgumentParser(add_help=False, parents=[common])
     jobs.add_argument("-j", "--jobs", type=positive, default=default_jobs(), help="worker processes (default: %(default)s)")
+    add_cluster_options(jobs)
     _register_simulate(commands, common)
     p = commands.add_parser(
         "compare", parents=[jobs], help="where does a model fail (several models: the ladder)", description=compare.__doc__
@@ -202,13 +203,15 @@ def compare(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.app.report_pictures import comparison_pictures
     from isetval.camera.model_file import model_path
     from isetval.core.cache import file_hash
+    from isetval.loop.task_runner import on_cluster
 
     limits = load_limits(args.limits) if args.limits else ()
     model, campaign, inputs = load_both(args.models[0], args.campaign, args)
     models = [model, *(isetval.load_model(m) for m in args.models[1:])]
     inputs |= {m: file_hash(model_path(m)) for m in args.models}
     told = {"say": console.say, "progress": console.progress}
-    found = isetval.compare(_distinct(models, args.models), campaign, regions=True, jobs=args.jobs, **told)
+    with on_cluster(cluster_of(args)):
+        found = isetval.compare(_distinct(models, args.models), campaign, regions=True, jobs=args.jobs, **told)
     inputs |= campaign.captures.hashes
     result: dict[str, Any] = {"kind": "compare", "campaign": campaign.name, **found.to_json()}
     if args.output is not None:  # the page that is drawn from the result shows them
@@ -237,10 +240,12 @@ def identify(args: argparse.Namespace, console: Console) -> Outcome:
     """Tell, before anything is measured, which effects a plan would show, how well, and which it could not tell apart."""
     import isetval
     from isetval.app.cli.loop_words import identify_lines
+    from isetval.loop.task_runner import on_cluster
     from isetval.loop.telling import Teller
 
     model, plan, inputs = load_both(args.model, args.plan)
-    found = isetval.identify(model, plan, seed=args.seed, jobs=args.jobs, say=Teller(console.say, console.progress))
+    with on_cluster(cluster_of(args)):
+        found = isetval.identify(model, plan, seed=args.seed, jobs=args.jobs, say=Teller(console.say, console.progress))
     result = {"kind": "identify", "plan": plan.name, "model": model.name, **found.to_json()}
     return Outcome(result, identify_lines(result), FINE, inputs, result["parameters"])
 
@@ -250,11 +255,13 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
     import isetval
     from isetval.app.cli.loop_words import diagnosis_lines
     from isetval.files.captures import input_hashes
+    from isetval.loop.task_runner import on_cluster
 
     model, campaign, inputs = load_both(args.model, args.campaign, args)
     holdout = shots_of(model, args.holdout, args) if args.holdout else None
     limit = {} if args.limit_s is None else {"limit_s": args.limit_s}
-    found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say, progress=console.progress, **limit)
+    with on_cluster(cluster_of(args)):
+        found = isetval.diagnose(model, campaign, holdout, jobs=args.jobs, say=console.say, progress=console.progress, **limit)
     inputs |= campaign.captures.hashes
     inputs |= input_hashes(holdout) if holdout is not None else {}
     result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}
