@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from isetval.core.capture import Capture, plane_black_dn, plane_view, planes_of
 from isetval.core.errors import InputError
 from isetval.core.sensor import RoiLike
 from isetval.core.shown import Shown
+from isetval.measure.noise.code_counts import CodeCounts, code_counts
 from isetval.measure.noise.moments import frame_moments
 from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import AT_BLACK_DN, check_region, frame_mean, frame_noise
@@ -26,6 +27,9 @@ FATAL = ("all_equal", "clipped_at_white", "clipped_at_zero", "frames_identical")
 LARGEST = 1024  # pixels a side that are looked at: drift, flicker and focus need no more, and a 12 MP frame would take seconds
 TILE = 48  # pixels: room for a blurred edge and for level ground on both sides of it
 LEAST_CONTRAST = 0.3  # of the mean: shading within a tile stays below, steps of a chart lie above
+MOST_SPREAD = (
+    9.0  # sd between the quantiles at 5 and 95 % of any values: each lies within 1 / sqrt(.05) sd of the mean (Cantelli)
+)
 LEAST_TILES = 3  # one grain of dust or one hot cluster is not a subject
 BLURRED_PX = 8.0  # plane pixels; a ramp of 16 mosaic pixels has an MTF50 of .6 / 16 = .04 cy/px: no lens in focus is that soft
 BLACK_ADVICE = "take the black level from dark frames of the same mode"
@@ -113,7 +117,8 @@ def quality(captures: Sequence[Capture] | Capture, roi: RoiLike | None = None) -
 def _single(capture: Capture, roi: RoiLike | None, where: str) -> list[Finding]:
     out: list[Finding] = []
     planes = {p: plane_view(capture, p, roi)[0] for p in planes_of(capture)}
-    if all(view.size == 0 or view.min() == view.max() for view in planes.values()):
+    counts = code_counts(capture, roi)
+    if all(np.count_nonzero(own.counts) < 2 for own in counts.values()):
         value = float(capture.mosaic.flat[0]) if capture.mosaic.size else math.nan
         if value >= capture.sensor.white_dn:
             return [Finding("clipped_at_white", where, 1.0, 1e-3, "shorten the exposure")]
@@ -132,9 +137,9 @@ def _single(capture: Capture, roi: RoiLike | None, where: str) -> list[Finding]:
         if missing.value > max(0.05, 3 * missing.sigma):
             advice = "raw codes are missing: digital gain, a linearization table or a rounded conversion"
             out.append(Finding("missing_codes", place, missing.value, 0.05, advice))
-        out += _black(capture, plane, view, place)
+        out += _black(capture, plane, view, counts[plane].mean_dn, place)
         out += _edges(view, place)
-    out += _greens(planes, capture, where)
+    out += _greens(planes, counts, capture, where)
     out += _focus(capture, roi, where)
     return out
 
@@ -157,15 +162,15 @@ def _low_clip(place: str, share: float) -> Finding:
     )
 
 
-def _black(capture: Capture, plane: str, view: NDArray[np.uint16], place: str) -> list[Finding]:
+def _black(capture: Capture, plane: str, view: NDArray[np.uint16], mean: float, place: str) -> list[Finding]:
     black = plane_black_dn(capture, plane)
-    darkest = float(np.percentile(view.ravel()[:: max(1, view.size // 50000)], 0.5))
+    some = np.unravel_index(np.arange(0, view.size, max(1, view.size // 50000)), view.shape)
+    darkest = float(np.percentile(view[some], 0.5))
     noise = frame_noise(capture)
     if darkest < black - max(8 * noise, 0.05 * capture.sensor.white_dn):
         return [
             Finding("values_below_black", place, darkest, black, "the black level is too high, or black was subtracted already")
         ]
-    mean = float(view.mean(dtype=np.float64))
     if mean < black - max(0.3, 6 * noise / math.sqrt(view.size)):
         return [Finding("black_level_differs_from_tag", place, mean, black, BLACK_ADVICE)]
     return []
@@ -176,10 +181,10 @@ def _edges(view: NDArray[np.uint16], place: str) -> list[Finding]:
     if min(view.shape) < 8:
         return []
     out = []
-    values = view.astype(np.float32)
-    steps = {"first row": (values[0], values[2]), "last row": (values[-1], values[-3])}
-    steps |= {"first column": (values[:, 0], values[:, 2]), "last column": (values[:, -1], values[:, -3])}
-    inner = values[values.shape[0] // 2]
+    lines = {"first row": (view[0], view[2]), "last row": (view[-1], view[-3])}
+    lines |= {"first column": (view[:, 0], view[:, 2]), "last column": (view[:, -1], view[:, -3])}
+    steps = {name: (outer.astype(np.float32), inside.astype(np.float32)) for name, (outer, inside) in lines.items()}
+    inner = view[view.shape[0] // 2].astype(np.float32)
     normal = float(np.median(np.abs(inner[2:] - inner[:-2]))) + 1.0
     for name, (outer, inside) in steps.items():
         step = float(np.mean(np.abs(outer - inside)))
@@ -193,23 +198,27 @@ def _edges(view: NDArray[np.uint16], place: str) -> list[Finding]:
     return out
 
 
-def _greens(planes: dict[str, NDArray[np.uint16]], capture: Capture, where: str) -> list[Finding]:
+def _greens(
+    planes: Mapping[str, NDArray[np.uint16]], counts: Mapping[str, CodeCounts], capture: Capture, where: str
+) -> list[Finding]:
     """On a Bayer mosaic the two greens are the pair that is most alike."""
     if "Gr" not in planes or min(v.size for v in planes.values()) < 16:
         return []
     rows = min(v.shape[0] for v in planes.values())
     cols = min(v.shape[1] for v in planes.values())
-    level = {p: v[:rows, :cols].astype(np.float64) - plane_black_dn(capture, p) for p, v in planes.items()}
-    mean = {p: float(v.mean()) for p, v in level.items()}
+    mean = {p: counts[p].mean_dn - plane_black_dn(capture, p) for p in planes}
     noise = frame_noise(capture) / math.sqrt(rows * cols)
     if min(mean.values()) < 20 * noise or max(mean.values()) < 1.1 * min(mean.values()):
         return []
+    step = abs(mean["Gr"] - mean["Gb"]) / max(mean["Gr"], mean["Gb"])
+    if not step > 0.05:
+        return []
+    level = {p: v[:rows, :cols].astype(np.float64) - plane_black_dn(capture, p) for p, v in planes.items()}
     greens = float(np.mean(np.abs(level["Gr"] - level["Gb"])))
     others = min(
         float(np.mean(np.abs(level[a] - level[b]))) for a, b in (("R", "Gr"), ("R", "Gb"), ("B", "Gr"), ("B", "Gb"), ("R", "B"))
     )
-    step = abs(mean["Gr"] - mean["Gb"]) / max(mean["Gr"], mean["Gb"])
-    if step > 0.05 and greens > 1.5 * others:
+    if greens > 1.5 * others:
         return [
             Finding(
                 "cfa_order_doubtful",
@@ -334,15 +343,23 @@ def edge_width_px(view: NDArray[np.uint16], black_dn: float, noise_dn: float) ->
         return math.nan
     smooth = _means_of_nine(view[:rows, :cols].astype(np.float64) - black_dn)
     tiles = smooth.reshape(rows // TILE, TILE, cols // TILE, TILE).swapaxes(1, 2).reshape(-1, TILE, TILE)
-    spread = np.ptp(np.percentile(tiles, [5, 95], axis=(1, 2)), axis=0)
-    bent = np.ptp(np.percentile(_without_slope(tiles), [5, 95], axis=(1, 2)), axis=0)
-    structured = (bent > LEAST_CONTRAST * np.maximum(tiles.mean(axis=(1, 2)), 0)) & (bent > 12 * noise_dn / 3)
+    flat = _without_slope(tiles)
+    least = np.maximum(LEAST_CONTRAST * np.maximum(tiles.mean(axis=(1, 2)), 0), 12 * noise_dn / 3)
+    maybe = MOST_SPREAD * flat.std(axis=(1, 2)) > least  # few tiles of most pictures, and quantiles are what costs
+    if int(maybe.sum()) < LEAST_TILES:
+        return math.nan
+    structured = _between(flat[maybe]) > least[maybe]
     if int(structured.sum()) < LEAST_TILES:
         return math.nan
-    chosen = tiles[structured]
+    chosen = tiles[maybe][structured]
     down = np.abs(chosen[:, 3:] - chosen[:, :-3]).max(axis=(1, 2))
     across = np.abs(chosen[:, :, 3:] - chosen[:, :, :-3]).max(axis=(1, 2))
-    return float(np.percentile(spread[structured] / (np.maximum(down, across) / 3), 25))
+    return float(np.percentile(_between(chosen) / (np.maximum(down, across) / 3), 25))
+
+
+def _between(tiles: NDArray[Any]) -> Float:
+    """Distance of the quantiles at 5 and 95 % of each tile."""
+    return np.asarray(np.ptp(np.percentile(tiles, [5, 95], axis=(1, 2)), axis=0))
 
 
 def _without_slope(tiles: NDArray[Any]) -> NDArray[Any]:
