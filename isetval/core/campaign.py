@@ -52,6 +52,9 @@ SHOT_NUISANCES = {
     "patch_bow": NuisanceKind(
         "relative per (100 nm)^2", "bend of the spectrum of a patch: rise with the square around 550 nm", each_patch=True
     ),
+    "patch_color": NuisanceKind(
+        "relative", "what a color channel sees of a patch times (1 + value), each patch, channel and light its own", of_rows=True
+    ),
     "dark_reflectance": NuisanceKind("reflectance", "reflectance added to black elements"),
     "qe_red": NuisanceKind("relative", "quantum efficiency of red in this light times (1 + value)", factor=True),
     "qe_green": NuisanceKind("relative", "quantum efficiency of green (or of MONO) in this light times (1 + value)", factor=True),
@@ -119,6 +122,8 @@ class Nuisance:
             raise InputError(f"{where}: distribution is {self.distribution!r}; only 'normal' is known")
         if self.of_camera and self.scope == "frame":
             raise InputError(f"{where}: a camera parameter cannot have scope 'frame'; use campaign or measurement session")
+        if self.of_rows and self.scope != "campaign":
+            raise InputError(f"{where}: scope is {self.scope!r}; it needs 'campaign': one value for all shots in a light")
         if unknown := set(self.roles) - set(ROLES):
             raise InputError(f"{where}: role {unknown.pop()!r} is unknown; it needs some of {', '.join(ROLES)}")
 
@@ -128,6 +133,16 @@ class Nuisance:
             return False
         found = ((self.roles, shot.role), (self.lights, shot.light or ""), (self.setups, shot.setup))
         return all(not wanted or name in wanted for wanted, name in found)
+
+    @property
+    def of_rows(self) -> bool:
+        """Whether it weighs rows, and is neither simulated nor fitted."""
+        return not self.of_camera and SHOT_NUISANCES[self.parameter].of_rows
+
+    @property
+    def marginalised(self) -> bool:
+        """Whether it is integrated in closed form: what changes from frame to frame, and what rows alone have."""
+        return self.scope == "frame" or self.of_rows
 
     @property
     def of_camera(self) -> bool:
@@ -310,7 +325,7 @@ class Campaign:
     def unknowns(self) -> tuple[Parameter, ...]:
         """Every value that the laboratory does not know exactly, once for all shots that share it.
 
-        Frame scope is left out: what changes from frame to frame is marginalised, not fitted.
+        What changes from frame to frame and what rows alone have is left out: it is marginalised, not fitted.
         """
         return self._unknowns
 
@@ -318,7 +333,7 @@ class Campaign:
     def _unknowns(self) -> tuple[Parameter, ...]:
         out: dict[str, Parameter] = {}
         for prior in self.nuisances:
-            if prior.scope == "frame":
+            if prior.marginalised:
                 continue
             shots: tuple[Shot | None, ...] = (None,) if prior.of_camera else tuple(s for s in self.shots if prior.applies_to(s))
             for shot in shots:
@@ -331,7 +346,7 @@ class Campaign:
             acting = [
                 p
                 for p in self.nuisances
-                if p.scope != "frame" and not p.of_camera and p.parameter not in GIVEN_NUISANCES and p.applies_to(shot)
+                if not p.marginalised and not p.of_camera and p.parameter not in GIVEN_NUISANCES and p.applies_to(shot)
             ]
             self._of_shots[shot.name] = tuple((p.name, p.label) for prior in acting for p in prior.unknowns_of(shot))
         return self._of_shots[shot.name]

@@ -16,7 +16,8 @@ class NuisanceKind:
     ``curved``: metrics bend within a few prior sigmas, so that derivatives are taken anew where it has moved;
     ``focus``: it is an error of the focus scale, which a lens's own defocus imitates exactly;
     ``factor``: it is what something is multiplied with less 1, so that it never falls below -1;
-    ``each_patch``: every patch of a chart has a value of its own, named ``NAME:PATCH``.
+    ``each_patch``: every patch of a chart has a value of its own, named ``NAME:PATCH``;
+    ``of_rows``: it changes rows and no picture: nothing simulates or fits it, the rows are weighed by it.
     """
 
     unit: str
@@ -25,6 +26,7 @@ class NuisanceKind:
     focus: bool = False
     factor: bool = False
     each_patch: bool = False
+    of_rows: bool = False
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def _draft(
         tuple(work.shots),
         tuple(work.targets),
         tuple(work.lights.values()),
-        _priors(work, used),
+        _priors(work, used, made is None),
         tuple(_unknown(work, used, found.facts, camera, made is not None)),
         tuple(camera_words([one.group for one in used if one.content.role == "dark"], found.captures)),
         used,
@@ -212,14 +212,15 @@ def _sensor(facts: Sequence[FileFacts], model: CameraModel | None, camera: str) 
     return mine
 
 
-def _priors(work: Drafting, seen: Sequence[Seen]) -> tuple[DraftPrior, ...]:
+def _priors(work: Drafting, seen: Sequence[Seen], camera_known: bool) -> tuple[DraftPrior, ...]:
     flats = [one.group for one in seen if one.content.role == "flat"]
     setups, _ = lit_setups(flats, dark_levels([one.group for one in seen if one.content.role == "dark"]))
     by_name = {shot.name: shot for shot in work.shots}
     again = {(s.setup, by_name[s.repeat_of].setup) for s in work.shots if s.repeat_of and s.role == "flat"}
     roles = {shot.role for shot in work.shots}
     tilts = [tilt for tilt in work.tilts if tilt is not None]
-    targets = target_priors(roles, tilt=max(tilts, default=None))
+    known = camera_known or chart_reflectances(work.folder_spectra, PATCH_NAMES) is not None
+    targets = target_priors(roles, tilt=max(tilts, default=None), colors_known=known)
     lights = list(work.lights.values())
     return (*light_priors(flats, setups, sorted(again), lights, roles, bracket_scatter(work)), *targets, *work.priors)
 

@@ -21,6 +21,9 @@ PATCH_FRAME = 0.005  # ours: lamps behind filters ripple, and a patch is as even
 LAMP = 0.3  # ours, per 100 nm: what lamps behind a band-pass filter differ by, where it leaks and inside its band
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
+PATCH_COLOR = 0.1
+"""What a channel sees of a patch beside what curves of another camera and published averages say: in daylight and tungsten the
+24 colors of two cameras (Pixel 4a, flea3), level by level of their channels, are .074 and .080 rms apart; charts .06 (ours)."""
 BOW_SHARE = 0.25  # of the tilt's width: ratios of black bodies 2700 to 3000 K and 5500 to 6500 K bend by .14 to .26 of their tilt
 UNEVEN = 0.1  # of a tilt: of smaller ones the bend is below the 2 % that charts are lit to anyway
 LEAST_DARK_DN = 0.5  # mean of a dark without an offset: fewer than half of its pixels leave code 0
@@ -110,9 +113,12 @@ def light_priors(
     return out
 
 
-def target_priors(roles: set[str], *, tilt: float | None = None) -> list[DraftPrior]:
+def target_priors(roles: set[str], *, tilt: float | None = None, colors_known: bool = True) -> list[DraftPrior]:
     """Priors on the pose and brightness of targets, for the roles that a campaign has; ``tilt`` was read off charts."""
     out = []
+    if "chart" in roles and not colors_known:
+        words = "neither the camera's curves nor the chart's reflectances are known; drop it once they are filled in"
+        out.append(DraftPrior("patch_color", PATCH_COLOR, "relative", "campaign", words, ("chart",)))
     if "edge" in roles:
         out += [
             DraftPrior("focus_um", 2.0, "um", "measurement session", "CHECK: how well was the focus set?", ("edge",)),

@@ -170,9 +170,9 @@ def weigh(problem: Problem) -> None:
     """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
     keep = problem.keep
     covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
-    if columns := _frame_columns(problem):
-        flicker = np.column_stack(columns)
-        covariance = covariance + flicker @ flicker.T
+    if columns := _marginal_columns(problem):
+        spread = np.column_stack(columns)
+        covariance = covariance + spread @ spread.T
     problem.noise_bias = _bias_of_noise(problem)
     covariance = covariance + np.diag(_rounding(problem, np.diag(covariance)) + problem.noise_bias)
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
@@ -230,19 +230,47 @@ def _light_slope(problem: Problem, step: float) -> Float:
     return np.asarray((vector - problem.anchor) / step)
 
 
-def _frame_columns(problem: Problem) -> list[Float]:
-    """Columns of what changes from frame to frame: light that flickers, as a whole and patch by patch of a chart.
-
-    Of each shot's mean, sigma / sqrt(frames), and of the rise over it.
-    """
-    plan, predictor = problem.plan, problem.predictor
-    priors = [n for n in plan.nuisances if n.scope == "frame" and n.parameter in ("light_level", "patch_reflectance")]
+def _marginal_columns(problem: Problem) -> list[Float]:
+    """Columns (metrics,) per sigma of what is integrated and not fitted: what flickers, what no color says."""
+    priors = [n for n in problem.plan.nuisances if n.marginalised]
     if not priors:
         return []
     slope = _light_slope(problem, FLICKER_STEP)
     lost = ~np.isfinite(slope)  # a plane that saturates in more light loses its rows: those are differentiated in less
     if lost.any():
         slope = np.where(lost, np.nan_to_num(_light_slope(problem, -FLICKER_STEP)), slope)
+    return [
+        *_frame_columns(problem, [n for n in priors if n.scope == "frame"], slope),
+        *_color_columns(problem, [n for n in priors if n.parameter == "patch_color"], slope),
+    ]
+
+
+def _color_columns(problem: Problem, priors: Sequence[Nuisance], slope: Float) -> list[Float]:
+    """Columns of what each channel sees of each patch in each light: it acts as that light on the rows of both.
+
+    A factor of rows is exact however far off it is; spectra of patches and filters bend, and are as many unknowns for a fit.
+    """
+    metrics = problem.predictor.table.metrics
+    acting = {shot.name: [n.sigma for n in priors if n.applies_to(shot)] for shot in problem.predictor.shots}
+    light = {shot.name: shot.light for shot in problem.predictor.shots}
+    groups: dict[tuple[str | None, str, str], list[int]] = {}
+    for i, m in enumerate(metrics):
+        if m.patch and acting.get(m.shot):
+            groups.setdefault((light[m.shot], m.patch, m.channel), []).append(i)
+    out = []
+    for rows in groups.values():
+        column = np.zeros_like(slope)
+        column[rows] = slope[rows] * float(np.linalg.norm(acting[metrics[rows[0]].shot]))
+        out.append(column)
+    return out
+
+
+def _frame_columns(problem: Problem, priors: Sequence[Nuisance], slope: Float) -> list[Float]:
+    """Columns of what changes from frame to frame: light that flickers, as a whole and patch by patch of a chart.
+
+    Of each shot's mean, sigma / sqrt(frames), and of the rise over it.
+    """
+    predictor = problem.predictor
     out = []
     for shot in predictor.shots:
         whole, patchwise = (_of_frame(priors, parameter, shot) for parameter in ("light_level", "patch_reflectance"))

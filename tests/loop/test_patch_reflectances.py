@@ -7,6 +7,7 @@ import pytest
 
 import isetval
 from isetval.core.campaign import SHOT_NUISANCES, Campaign, Light, Nuisance, Shot
+from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
@@ -99,3 +100,47 @@ def test_a_patch_whose_spectrum_is_off_is_one_of_that_spectrum(camera, name, pow
         )
         assert value - flat > 1  # DN: brighter in red than it loses in blue, or at both ends
         assert abs(value - table) < 0.05 * (value - flat)  # the same seeds; what a mean of another last bit draws anew
+
+
+def test_a_color_that_nobody_knows_is_a_factor_of_its_rows_in_one_light(camera):
+    """Covariance sigma^2 m_i m_j of the means of one patch in one channel, in all shots alike, nothing between others."""
+    sigma = 0.1
+    unknown = Nuisance("patch_color", sigma, "relative", "campaign", roles=("chart",))
+    plan, bare = chart(camera, STATED, unknown), chart(camera, STATED)
+    assert plan.unknowns() == ()
+    shots = isetval.simulate(camera, bare, seed=6)
+    with prepare(camera, replace(plan, captures=shots.captures)) as one, prepare(camera, shots) as other:
+        assert [m.key() for m in one.problem.predictor.table.metrics] == [m.key() for m in other.problem.predictor.table.metrics]
+        metrics, level = one.problem.predictor.table.metrics, one.problem.base.mean
+        means = [i for i in one.problem.keep if metrics[i].name == "patch_mean"]
+        added = (one.problem.covariance - other.problem.covariance)[np.ix_(means, means)]
+        same = np.array(
+            [[metrics[i].patch == metrics[j].patch and metrics[i].channel == metrics[j].channel for j in means] for i in means]
+        )
+        expected = np.where(same, sigma**2 * np.outer(level[means], level[means]), 0.0)
+        assert same.sum() == 2 * len(means)
+        # the slope by the light is of rounded frames in steps of one percent
+        np.testing.assert_allclose(added, expected, atol=0.05 * expected.max())
+
+
+def test_colors_that_are_off_do_not_fail_where_nobody_knows_them(camera):
+    wide = np.linspace(380.0, 730.0, 351)
+    tilted = {
+        k: Spectrum(wide, v * (1 + s * (wide - 550) / 100)) for (k, v), s in zip(STATED.items(), (0.2, -0.15, 0.1), strict=True)
+    }
+    patches = tuple(Patch(k, BOXES[k], s) for k, s in tilted.items())
+    bare = chart(camera, STATED)
+    true = replace(bare, shots=tuple(replace(s, target=replace(s.target, patches=patches)) for s in bare.shots))
+    captures = isetval.simulate(camera, true, seed=7).captures
+
+    def square(*nuisances):
+        found = isetval.compare(camera, replace(chart(camera, STATED, *nuisances), captures=captures))
+        return next(r.mean_square_z for r in found.ladder if r.family == "chart_patch")
+
+    assert square() > 1000
+    assert 0.2 < square(Nuisance("patch_color", 0.1, "relative", "campaign", roles=("chart",))) < 4
+
+
+def test_a_color_has_one_value_in_all_shots():
+    with pytest.raises(InputError, match="campaign"):
+        Nuisance("patch_color", 0.1, "relative", "set-up")
