@@ -21,6 +21,7 @@ from isetval.measure.color.chart_layout import (
     project,
     reading_orders,
 )
+from isetval.measure.noise.code_counts import code_counts
 
 Float = NDArray[np.float64]
 # the detector works on pictures of about this many pixels; larger ones only where the chart is small, most likely first
@@ -64,8 +65,13 @@ def preview(capture: Capture, bin_px: int) -> Float:
     for plane in planes:
         view, _, _ = plane_view(capture, plane)
         rows, cols = view.shape[0] // cells * cells, view.shape[1] // cells * cells
-        part = view[:rows, :cols].reshape(rows // cells, cells, cols // cells, cells)
-        out.append(part.mean(axis=(1, 3)) - plane_black_dn(capture, plane))
+        lines = np.zeros((rows // cells, cols), np.uint32)
+        for i in range(cells):
+            lines += view[i:rows:cells, :cols]
+        sums = np.zeros((rows // cells, cols // cells))
+        for i in range(cells):
+            sums += lines[:, i::cells]  # whole numbers: exact in any order
+        out.append(sums / cells**2 - plane_black_dn(capture, plane))
     if len(out) == 1:
         return np.asarray(np.stack([out[0]] * 3, axis=2))
     rows, cols = min(p.shape[0] for p in out), min(p.shape[1] for p in out)
@@ -91,16 +97,19 @@ def find_chart(capture: Capture) -> FoundChart:
     shortest_bin = 1 if planes_of(capture) == ("MONO",) else 2
     best: FoundChart | None = None
     tried: list[tuple[int, bool]] = []
+    pictures: dict[int, Float | None] = {}
     for side, gapped in [(side, gapped) for gapped in (False, True) for side in PREVIEW_SIDES]:
         bin_px = max(shortest_bin, shortest_bin * round(max(capture.mosaic.shape) / side / shortest_bin))
         if (bin_px, gapped) in tried:
             continue
         tried.append((bin_px, gapped))
-        linear = preview(capture, bin_px)
-        if not may_hold_chart(linear):
+        if bin_px not in pictures:
+            linear = preview(capture, bin_px)
+            pictures[bin_px] = linear if may_hold_chart(linear) else None
+        if (seen := pictures[bin_px]) is None:
             continue
         for percentile in PERCENTILES:
-            found = _find_in(linear, percentile, bin_px, gapped=gapped)
+            found = _find_in(seen, percentile, bin_px, gapped=gapped)
             if found is not None and (best is None or found.score > best.score):
                 best = found
             if best is not None and best.score >= GOOD_SCORE:
@@ -120,7 +129,7 @@ def may_hold_chart(linear: Float) -> bool:
 
 
 def _refusal(capture: Capture, tried: list[tuple[int, bool]], best: FoundChart | None) -> str:
-    levels = [float(np.percentile(plane_view(capture, p)[0], 99.5)) - plane_black_dn(capture, p) for p in planes_of(capture)]
+    levels = [own.quantile(0.995) - plane_black_dn(capture, p) for p, own in code_counts(capture).items()]
     seen = "nothing chart-like was found" if best is None else f"the best candidate's colours fit with {best.score:.2f}"
     bins = ", ".join(str(b) for b in sorted({b for b, _ in tried}))
     return (

@@ -98,7 +98,7 @@ def find_segments(image: Float) -> list[Segment]:
 
 def gradient_noise(smooth: Float, down: Float, right: Float) -> Float:
     """Standard deviation of a gradient component at the level of every pixel, from its spread at equal levels."""
-    flat, level = np.abs(_along_contours(smooth, down, right)[::2, ::2]).ravel(), smooth[::2, ::2].ravel()
+    flat, level = np.abs(_along_contours(smooth, down, right)).ravel(), smooth[::2, ::2].ravel()
     edges = np.quantile(level, np.linspace(0, 1, 9))
     number = np.clip(np.searchsorted(edges, level, side="right") - 1, 0, 7)
     spread, center = [], []
@@ -117,7 +117,7 @@ def gradient_noise(smooth: Float, down: Float, right: Float) -> Float:
 
 
 def _along_contours(smooth: Float, down: Float, right: Float) -> Float:
-    """Gradient along the contours: noise alone, also at the levels that only an edge's own slope passes through.
+    """Gradient along the contours, at every second pixel: noise alone, also at the levels that only an edge's slope passes.
 
     A component along a fixed axis holds the slope of every edge across that axis.  In white noise the coarse direction
     is that of a gradient correlated by rho with the fine one, so that sqrt(1 - rho^2) of the noise is left to be seen.
@@ -125,10 +125,11 @@ def _along_contours(smooth: Float, down: Float, right: Float) -> Float:
     from scipy import ndimage
 
     coarse = ndimage.gaussian_filter(smooth, COARSE_PX)
-    turn = np.arctan2(ndimage.sobel(coarse, axis=0), ndimage.sobel(coarse, axis=1))
+    some = (slice(None, None, 2), slice(None, None, 2))
+    turn = np.arctan2(ndimage.sobel(coarse, axis=0)[some], ndimage.sobel(coarse, axis=1)[some])
     wide = np.hypot(COARSE_PX, SMOOTH_PX)
     rho = (2 * SMOOTH_PX * wide / (SMOOTH_PX**2 + wide**2)) ** 2
-    return np.asarray((down * np.cos(turn) - right * np.sin(turn)) / np.sqrt(1 - rho**2))
+    return np.asarray((down[some] * np.cos(turn) - right[some] * np.sin(turn)) / np.sqrt(1 - rho**2))
 
 
 def _is_ridge(size: Float, down: Float, right: Float) -> NDArray[np.bool_]:

@@ -38,6 +38,13 @@ class CodeCounts:
         """Values at or above a code."""
         return int(self.counts[max(math.ceil(code), 0) :].sum())
 
+    def quantile(self, share: float) -> float:
+        """The value below which a share of all lies, between neighbours in proportion (`numpy.quantile`)."""
+        place = (self.pixels - 1) * share
+        first = math.floor(place)
+        low, high = np.searchsorted(np.cumsum(self.counts), [first, min(first + 1, self.pixels - 1)], side="right")
+        return float(low + (high - low) * (place - first))
+
     @property
     def mean_dn(self) -> float:
         """Mean of the values, exact before its one division."""
