@@ -112,12 +112,17 @@ def _shorten_by_small_shots(
 
 
 def _code_steps(problem: Problem, candidate: Candidate, columns: Float) -> dict[str, float]:
-    """What moves the level that moves most by one code (`Candidate.code_steps`)."""
+    """What moves the level that moves most by one code (`Candidate.code_steps`), within the width of its prior.
+
+    What needs more moves no level as a whole: a smoothing of .3 % turns single pixels, which noise makes smooth, and its step of
+    one code of a level, 55 times what weights can be, had no derivative at all.
+    """
     if not candidate.effect.whole_codes:
         return {}
     levels = np.array([m.unit == "DN" for m in problem.predictor.table.metrics], bool)
     largest = np.abs(columns[levels]).max(axis=0, initial=0.0)
-    return {key: 1 / float(most) for key, most in zip(candidate.keys, largest, strict=True) if most > 0}
+    wide = zip(candidate.keys, largest, candidate.tau, strict=True)
+    return {key: 1 / float(most) for key, most, tau in wide if most * tau > 1}
 
 
 def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]) -> None:
