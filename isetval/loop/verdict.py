@@ -17,6 +17,7 @@ from isetval.loop.form_curve import curve_of
 from isetval.loop.forms import other_forms
 from isetval.loop.investigation import Investigation, named_model
 from isetval.loop.next_captures import next_captures
+from isetval.loop.posterior import UNKNOWN, Names, Posterior
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import CandidateRow, Diagnosis, NamedEffect, NamedParameter
 from isetval.loop.score_test import cosine
@@ -46,7 +47,7 @@ def account_of(case: Investigation, gate: Mapping[str, Any], *, say: Say, more: 
     beside = with_unknown(case)
     like = _likenesses(case)
     model, effects = _model_with(case, like, beside)
-    words = _words_left(case, beside) + _against_priors(case)
+    words = [*_words_left(case, beside), *_against_priors(case), *unconfirmed(case.standing.names, beside.table)]
     say("drawing the ladder")
     models = [nominal] if model is nominal else [nominal, model]
     ladder = tuple(ladder_rows(prepared, models))
@@ -124,6 +125,16 @@ def _words_left(case: Investigation, beside: Beside) -> list[str]:
     """What is left over beside what is named; nothing where that is less likely than `FLAGGED_BESIDE` or `FLAGGED_ALONE`."""
     flagged = beside.table.unknown > (FLAGGED_BESIDE if case.standing.effects else FLAGGED_ALONE)
     return _words_of(beside.unknown) if flagged else []
+
+
+def unconfirmed(stands: Names, table: Posterior) -> list[str]:
+    """That the sum is sure of something it knows and no fit found enough to name it, in words: no camera is consistent then."""
+    sure = 1 - table.nothing - table.unknown
+    if stands or sure <= FLAGGED_ALONE:
+        return []
+    names = {name for subset in table.logs for name in subset if not name.startswith(UNKNOWN)}
+    likeliest = max(sorted(names), key=table.of)
+    return [f"{likeliest} is missing by derivatives (probability {table.of(likeliest):.3f}), which no fit confirmed"]
 
 
 def _words_of(unknown: Unknown) -> list[str]:

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from isetval.core.metric import Metric
+from isetval.loop.posterior import Posterior, like
 from isetval.loop.score_test import Frame
 from isetval.loop.unknown import findings, patterns_of
+from isetval.loop.verdict import unconfirmed
 
 N = 40
 RADIUS_MM = np.linspace(0.0, 3.0, N)
@@ -50,3 +52,15 @@ def test_patterns_are_whitened_columns_with_words_and_family():
     assert set(found.families) == {"flat_mean"}
     slopes = found.white[:, found.words.index("flat_mean changes along field radius")]
     assert slopes == pytest.approx(100 * (RADIUS_MM - 1.5) / 1.5)
+
+
+def test_what_the_sum_is_sure_of_and_no_fit_confirmed_is_said():
+    """A verdict of "consistent" beside a probability of .001 that nothing is missing would contradict itself."""
+    nothing, a, pair, strange = frozenset(), frozenset({"a"}), frozenset({"a", "b"}), frozenset({like("b")})
+    freed = {nothing: 0, a: 1, pair: 2, strange: 0}
+    sure = Posterior({nothing: 0.0, a: -4.0, pair: 7.0, strange: -1.0}, freed)
+    (words,) = unconfirmed(nothing, sure)
+    assert words.startswith(f"a is missing by derivatives (probability {sure.of('a'):.3f})")
+    assert unconfirmed(a, sure) == []  # it stands: the verdict names it
+    assert unconfirmed(nothing, Posterior({nothing: 0.0, a: -4.0, pair: 0.0, strange: -1.0}, freed)) == []
+    assert unconfirmed(nothing, Posterior({nothing: 0.0, a: -4.0, pair: 0.0, strange: 9.0}, freed)) == []  # said as unknown
