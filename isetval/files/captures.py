@@ -15,7 +15,7 @@ from isetval.core.errors import InputError
 from isetval.core.memory import give_back_freed
 
 HELD_PIXELS = 400_000_000  # 800 MB of frames: what a shot may keep in memory; longer series are decoded frame by frame
-AHEAD_PIXELS = 90_000_000  # 180 MB of frames kept for the shots to come: a worker with its maps and libraries stays below 600 MB
+AHEAD_PIXELS = 70_000_000  # 140 MB of frames kept for the shots to come: a worker with its maps and libraries stays below 600 MB
 AGAIN_PIXELS = 30_000_000  # 60 MB of frames beyond that were decoded last: a pair of 12 MP is looked at several times in a row
 Reader = Callable[[str, str], Capture]
 """(shot name, file name) -> the capture."""

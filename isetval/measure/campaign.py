@@ -22,7 +22,7 @@ from isetval.measure.summaries import session_summaries, wanted
 Progress = Callable[[str, int, int], None]
 LEVELS = ("mean", "patch_mean", "line_profile", "patch_ratio", "relative_illumination")
 """Rows that resampling leaves as they are: means, not noise."""
-HELD_PIXELS = 90_000_000  # 180 MB of frames kept for the summaries of a session; what is beyond is decoded again
+HELD_PIXELS = 70_000_000  # 140 MB of frames kept for the summaries of a session; what is beyond is decoded again
 
 
 @cache

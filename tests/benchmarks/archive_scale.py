@@ -95,7 +95,7 @@ def overhead(paths, folder):
         "bare": lambda: [content_of(u, Settings()) for u in units],
         "with store": lambda: run_batch(units, Settings(), Here(), store_folder=folder / f"store{next(number)}"),
     }
-    return {"files": len(units), **side_by_side_ms(tasks, 5)}
+    return {"files": len(units), **side_by_side_ms(tasks, 15)}  # differences of 4 % on a machine that others use
 
 
 def workers(paths):

@@ -55,7 +55,7 @@ class Unit:
     def parts(self) -> list[Path]:
         """Its files and the sidecars that state their levels."""
         out = [Path(file) for file in self.files]
-        sidecars = [find_sidecar(path) for path in out if path.suffix.lower() != DNG_SUFFIX]
+        sidecars = [find_sidecar(path) for path in out if not path.name.lower().endswith(DNG_SUFFIX)]
         return out + list(dict.fromkeys(path for path in sidecars if path is not None))
 
     def key(self, settings: Settings, hashes: Mapping[str, str]) -> str:
@@ -110,7 +110,7 @@ def fingerprint(path: Path | str) -> str:
         If the file cannot be read.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open(path, "rb", buffering=0) as file:
             size = file.seek(0, os.SEEK_END)
             data = str(size).encode()
             for at in (0, size // 2, size - PRINT_BYTES):
