@@ -182,8 +182,12 @@ def _is_first(path: Path, text: str) -> bool:
         os.link(own, path)
     except FileExistsError:
         return False
+    except OSError:  # a disk without links
+        if path.exists():
+            return False
+        os.replace(own, path)
     finally:
-        own.unlink()
+        own.unlink(missing_ok=True)
     return True
 
 
