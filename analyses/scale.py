@@ -108,7 +108,7 @@ Rates are CPU times of this machine ({{ cores }} cores, load {{ load }}); what b
 <td class="n">{{ "-" if value is none else "%.3g"|format(value) }}</td>
 <td>{{ goal }}</td></tr>
 {% endfor %}</table>
-<p class="soft">Two workers take turns with one by the clock, on a machine that others load;
+<p class="soft">Where others use the cores two workers take turns with one by the clock;
 their CPU a file says what contention costs.</p>
 <h2>Cost against size</h2><img alt="CPU against number of files and of pixels" src="data:image/svg+xml;base64,{{ picture }}">
 <h2>Faults survived</h2>
