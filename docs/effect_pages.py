@@ -74,8 +74,19 @@ def _page(cls, drawn):
             "when the effect stands one plausible scale above the Pixel 4a.",
             "",
         ]
+    else:
+        lines += ["## Signature in the demo plan", "", _why_none(cls), ""]
     lines += ["## Checked by", "", *(f"- `{path}`" for path in _tests(cls.name)), ""]
     return "\n".join(lines)
+
+
+def _why_none(cls):
+    """Why an effect has no picture."""
+    if cls.files():
+        return "None here: what it does is in the file that it names."
+    if not any(p.tau for p in cls.parameters()):
+        return "None here: it has no strength that could be one step more; a model holds it or not."
+    return "None here: the Pixel 4a's model has no lens file, whose chief rays it needs."
 
 
 def _prose(paragraph):
@@ -108,7 +119,7 @@ def _signatures(folder):
     before = _levels(model, plan)
     drawn = set()
     for name, cls in catalogue().items():
-        if not cls.candidate or cls.files() or not any(p.tau for p in cls.parameters()):
+        if cls.files() or not any(p.tau for p in cls.parameters()):
             continue
         try:
             start = model.effect(name) or cls()

@@ -73,6 +73,12 @@ def test_terminals_get_one_line_and_logs_whole_lines(monkeypatch, terminal):
     assert written.endswith("\n") != terminal
 
 
+def test_a_log_gets_a_line_within_half_a_minute_and_what_takes_two_seconds_is_told():
+    assert 0 < module.LOG_S <= 30.0
+    assert 0 < module.PATIENCE_S <= 2.0
+    assert module.TICK_S < 1.0
+
+
 def test_quiet_says_nothing(monkeypatch):
     stream = Stream(False)
     monkeypatch.setattr("sys.stderr", stream)

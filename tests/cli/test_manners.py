@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 
 import isetval
+from isetval.app.cli import main
 from isetval.app.cli.console import harmless, understands_escapes
 from isetval.app.demo import chosen_hidden
 from isetval.camera.plugins import plugins_allowed
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
+from isetval.scenes.edge_truth import EdgeBlur, EdgeTruth, edge_capture
 
+LENS = data_folder() / "lens" / "default_lens.json"
 CAMERA = data_folder() / "pixel4a" / "camera.toml"
 ESC = "\x1b"
 
@@ -215,3 +218,16 @@ def test_an_effect_of_ones_own_is_hidden_in_the_demo_only_where_its_program_is_a
     assert "corner_loss" in catalogue()
     assert chosen_hidden(isetval.load_model(CAMERA), "corner_loss:a=0.3").a == 0.3
     assert _hidden_of("vignetting") == "vignetting"
+
+
+@pytest.mark.parametrize("words", [("measure", "edge.dng", "--role", "edge"), ("roi", "edge.dng"), ("lens", "audit", LENS)])
+def test_open_shows_the_page_that_was_written_and_nothing_else_does(tmp_path, monkeypatch, words):
+    shown = []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    monkeypatch.chdir(tmp_path)
+    isetval.write_dng(tmp_path / "edge.dng", edge_capture(EdgeTruth(EdgeBlur(cutoff_cy_px=0.8), angle_deg=5.0), snr_bright=60))
+    command = [*map(str, words), "-o", "page é.html", "-q"]
+    assert main(command) == 0
+    assert shown == []
+    assert main([*command, "--open"]) == 0
+    assert shown == [(tmp_path / "page é.html").resolve().as_uri()]

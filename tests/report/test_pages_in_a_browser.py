@@ -12,7 +12,7 @@ from isetval.core.toml import data_folder
 from isetval.scenes.edge_truth import EdgeBlur, EdgeTruth, edge_capture
 
 MOST_BLANK = 0.4  # of a printed page: the height of a figure with its heading, which do not part
-PAGES = ("comparison", "diagnosis", "curve", "flats", "edge", "chart", "disks", "campaign", "regions")
+PAGES = ("comparison", "diagnosis", "curve", "darks", "flats", "mixed", "edge", "chart", "disks", "campaign", "regions", "lens")
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +25,10 @@ def written(tmp_path_factory, model):
     for name in ("A_dark0", "A_flat1", "A_flat3", "A_flat5"):
         for i, frame in enumerate(isetval.simulate(model, plan.only([name]), 5).captures.read(name)):
             isetval.write_dng(lab / f"{name}_{i}.dng", frame)
+    darks = folder / "darks"
+    darks.mkdir()
+    for path in lab.glob("A_dark0_*.dng"):
+        (darks / path.name).write_bytes(path.read_bytes())
     edge = edge_capture(EdgeTruth(EdgeBlur(cutoff_cy_px=0.8), angle_deg=5.0), snr_bright=60)
     isetval.write_dng(folder / "edge.dng", edge)
     chart = next(s for s in plan.shots if s.role == "chart").name
@@ -50,6 +54,9 @@ def written(tmp_path_factory, model):
     ]
     commands = (
         ["measure", lab, "--role", "flat", "-o", folder / "flats.html", "-q"],
+        ["measure", darks, "--role", "dark", "-o", folder / "darks.html", "-q"],
+        ["measure", lab, "-o", folder / "mixed.html", "-q"],
+        ["lens", "audit", data_folder() / "lens" / "default_lens.json", "-o", folder / "lens.html", "-q"],
         ["measure", folder / "edge.dng", "--role", "edge", "-o", folder / "edge.html", "-q"],
         ["measure", folder / "chart.dng", "-o", folder / "chart.html", "-q"],
         ["measure", folder / "disks.dng", "--role", "disk", "-o", folder / "disks.html", "-q"],

@@ -46,6 +46,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         metavar="FILM_MM=OBJECT_M",
         help="a film distance that is said to focus an object (front vertex to object); may be given several times",
     )
+    p.add_argument("--open", action="store_true", help="open the page that -o wrote")
     p.set_defaults(handler=lens_audit, writes_result=True, suffixes=(".html", ".pdf", ".png"))
     p = commands.add_parser("report", parents=[common], help="results -> one self-contained page", description=report.__doc__)
     p.add_argument("results", nargs="+", metavar="RESULT", type=Path, help="JSON results of measure, compare, diagnose, demo")

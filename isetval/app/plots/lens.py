@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isetval.app.plots.panels import plain_log
 from isetval.lens.focus import film_for_object, focus_curve
 from isetval.lens.psf import mtf
 from isetval.lens.spots import spot
@@ -128,6 +129,7 @@ def focus_figure(lens: RayTransferLens, *, objects_m: Sequence[float] = (0.1, 0.
     axis.semilogx(objects_m, focus_curve(lens, objects_m), "o-")
     axis.set_xlabel("object to front vertex (m)")
     axis.set_ylabel("film to rear vertex (mm)")
+    plain_log(axis, "x")
     axis.grid(alpha=0.3)
     return figure
 
@@ -168,6 +170,7 @@ def depth_of_field_figure(
     axis.set_xlabel("object to front vertex (m)")
     axis.set_ylabel(f"MTF at {frequency_cy_mm:g} cycles/mm")
     axis.set_ylim(0, 1.02)
+    plain_log(axis, "x")
     axis.set_title(f"{lens.name}, image height {height_mm:g} mm", fontsize=9)
     axis.grid(alpha=0.3)
     axis.legend()
