@@ -250,7 +250,7 @@ def _unknown(
         out.append(("camera", needs, "the campaign can be measured, not compared or diagnosed."))
     if estimated:
         needs = "the camera's own spectral curves (quantum_efficiency), its lens (a lens file, defocus)."
-        without = "curves of another camera, in the flats' colour, and a perfect focus stand in: `compare` shows where they fail."
+        without = "curves of another camera, in the flats' colour, and a perfect focus stand in; comparing shows where they fail."
         out.append((CAMERA, needs, without))
     alike: dict[str, list[str]] = {}
     for light in work.lights.values():

@@ -79,7 +79,8 @@ def account_of(case: Investigation, gate: Mapping[str, Any], *, say: Say, more: 
 def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadline, *, unfitted: Sequence[str]) -> Diagnosis:
     """The best statement of an investigation whose time is over; nothing is simulated any more.
 
-    Neither the hold-out nor what its fit would leave is asked: a name has the probability that the captures used give it.
+    Neither the hold-out nor what its fit would leave is asked: a name has the probability that the captures used give it.  Its
+    suspects have none: sets of them that nobody fitted would decide it (a blur stood at 0.000 beside its rival's 1.000).
     """
     beside = with_unknown(case, ask_holdout=False)
     like = _likenesses(case)
@@ -88,7 +89,7 @@ def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadlin
     return Diagnosis(
         verdict="unfinished",
         effects=tuple(effects),
-        candidates=_candidate_rows(case, beside),
+        candidates=tuple(sorted(case.rows, key=lambda row: row.p_corrected)),
         unobservable=case.unobservable,
         next_captures=(),
         leftover="; ".join(_words_left(case, beside)) or None,

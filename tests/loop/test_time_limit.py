@@ -84,6 +84,7 @@ def test_wherever_it_is_stopped_it_says_what_is_best_so_far(nominal, captures, s
         if found.verdict == "unfinished":
             assert any("stopped" in words for words in found.not_looked_at)
             assert told["not_looked_at"] == list(found.not_looked_at)
+            assert all(c.posterior is None for c in found.candidates)  # of sets that nobody fitted
             assert not found.effects or any("hold-out" in words for words in found.not_looked_at)
             text = "\n".join(diagnosis_lines(told))
             assert "not looked at: " in text
