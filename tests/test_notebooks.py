@@ -41,3 +41,17 @@ def test_all_are_built_and_executed(path, tmp_path):
     if path.name[0] in "136":  # their results show themselves
         pictures = [o for cell in code for o in cell.outputs if "data:image/png" in str(o.get("data", {}).get("text/html", ""))]
         assert pictures
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: p.stem)
+def test_all_pass_as_tests_of_their_cells(path, tmp_path):
+    """As a laboratory tests notebooks of its own: ``pytest --nbmake`` on what ``build.py --no-run`` wrote."""
+    for name in ("jupytext", "ipykernel", "nbmake"):
+        pytest.importorskip(name)
+    built = [sys.executable, str(FOLDER / "build.py"), path.name[0], "--no-run", "-o", str(tmp_path)]
+    assert subprocess.run(built, capture_output=True, check=False).returncode == 0
+    asked = [sys.executable, "-m", "pytest", "--nbmake", "--nbmake-timeout=1800", "-q", "-p", "no:cacheprovider", str(tmp_path)]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "1 passed" in done.stdout
