@@ -167,3 +167,17 @@ def test_a_campaign_is_measured_as_a_whole(tmp_path, capsys):
     (tmp_path / "lab" / "campaign.toml").write_text("")
     assert main(["measure", str(tmp_path / "lab"), "--jobs", "1"]) == 3
     assert "is a campaign, which is measured as a whole" in capsys.readouterr().err
+
+
+def test_a_file_is_decoded_once_whatever_is_looked_for_in_it(captures, tmp_path, monkeypatch):
+    """Levels, charts, edges and quality are of one decoded frame; a worker measures its units by `measure_units`."""
+    from collections import Counter
+
+    from isetval.files import capture_file
+
+    decoded, read = Counter(), capture_file.read_capture
+    monkeypatch.setattr(capture_file, "read_capture", lambda path, **more: decoded.update([str(path)]) or read(path, **more))
+    files = sorted(path for path in captures.iterdir() if path.suffix == ".dng")[:3]
+    done = measure_units(Settings(), None, units_of(files, None))
+    assert len(done.outcomes) == len(files)
+    assert decoded == {str(path): 1 for path in files}

@@ -75,5 +75,8 @@ def test_the_site_is_built_without_warnings(tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     pages = {p.stem for p in (tmp_path / "site" / "effects_by_name").glob("*.html")}
     assert set(catalogue()) <= pages
+    for name in catalogue():  # a picture of its signature, or why there is none
+        text = (tmp_path / "site" / "effects_by_name" / f"{name}.html").read_text(encoding="utf-8")
+        assert f'alt="signature of {name}"' in text or "None here:" in text, name
     for example in (ROOT / "docs" / "gallery").glob("plot_*.py"):  # every one shows a figure, made by its code
         assert (tmp_path / "site" / "_images" / f"sphx_glr_{example.stem}_001.png").is_file(), example.stem
