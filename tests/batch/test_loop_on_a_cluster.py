@@ -4,15 +4,11 @@ import json
 import os
 import signal
 
-import numpy as np
 import pytest
 from batch_runs import command, finished, until
 from faults import dask_cluster
 
 import isetval
-from isetval.core.campaign import Campaign, Light, Nuisance, Shot
-from isetval.core.scene import Spectrum
-from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.files.campaign_writer import write_campaign
 
@@ -21,18 +17,11 @@ WINDOW = (1464, 1968, 32, 32)
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory):
+def lab(tmp_path_factory, small_plan):
     """A campaign of darks and flats, shot by the nominal camera."""
     model = isetval.load_model(MODEL)
-    light = Light("sphere", Spectrum(np.array([390.0, 550.0, 710.0]), np.array([0.0004, 0.001, 0.0008])))
-    shots = [Shot(f"dark{i}", "dark", exposure=Exposure(t), frames=3, window=WINDOW) for i, t in enumerate((0.001, 0.5))]
-    shots += [
-        Shot(f"flat{i}", "flat", setup="series", exposure=Exposure(t), frames=3, window=WINDOW, light="sphere")
-        for i, t in enumerate((0.004, 0.03))
-    ]
-    priors = (Nuisance("light_level", 0.02, "relative", "set-up", roles=("flat",)),)
-    plan = Campaign("small", tuple(shots), lights={"sphere": light}, nuisances=priors, sensor=model.sensor)
-    return write_campaign(isetval.simulate(model, plan, 5), tmp_path_factory.mktemp("lab") / "captures", model=model)
+    shot = isetval.simulate(model, small_plan(model.sensor), 5)
+    return write_campaign(shot, tmp_path_factory.mktemp("lab") / "captures", model=model)
 
 
 def numbers(path):

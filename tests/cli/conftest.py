@@ -1,16 +1,12 @@
 """Small campaigns and a runner of commands."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import isetval
 from isetval.app.cli import main
-from isetval.core.campaign import Campaign, Light, Nuisance, Shot
-from isetval.core.scene import Spectrum
-from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 
 WINDOW = (1464, 1968, 32, 32)
@@ -21,20 +17,8 @@ def nominal():
     return isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
 
 
-def small_plan(sensor, **more):
-    light = Light("sphere", Spectrum(np.array([390.0, 550.0, 710.0]), np.array([0.0004, 0.001, 0.0008])))
-    shots = [Shot(f"dark{i}", "dark", exposure=Exposure(t), frames=3, window=WINDOW) for i, t in enumerate((0.001, 0.5))]
-    shots += [
-        Shot(f"flat{i}", "flat", setup="series", exposure=Exposure(t), frames=3, window=WINDOW, light="sphere")
-        for i, t in enumerate((0.004, 0.03))
-    ]
-    priors = (Nuisance("light_level", 0.02, "relative", "set-up", roles=("flat",)),)
-    plan = Campaign("small", tuple(shots), lights={"sphere": light}, nuisances=priors, sensor=sensor)
-    return replace(plan, **more)
-
-
 @pytest.fixture(scope="session")
-def plan(nominal):
+def plan(nominal, small_plan):
     return small_plan(nominal.sensor)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,25 +66,21 @@ def measure_batch(args: argparse.Namespace, console: Console, raw: Mapping[str, 
     units = part_of(units_of(raw_files(args.paths, said=levels_are_said(raw)), args.role), args.shard)
     fresh = getattr(args, "fresh", False)  # of rerun: no store may answer for it
     store = None if fresh else args.store or _own_store()
-    engine = engine_of(args)
-    console.say(f"measuring {sum(len(unit.files) for unit in units)} files")
-    finished = False
-    try:
-        batch = run_batch(
-            units,
-            settings,
-            engine,
-            store_folder=store,
-            must_store=args.store is not None,
-            progress=console.progress,
-        )
-        finished = True
-    except KeyboardInterrupt:
-        if store is not None:
-            console.note(f"what was measured is kept in {store}: the same command goes on from there")
-        raise
-    finally:
-        engine.close(wait=finished)
+    with engine_for(args) as engine:
+        console.say(f"measuring {sum(len(unit.files) for unit in units)} files")
+        try:
+            batch = run_batch(
+                units,
+                settings,
+                engine,
+                store_folder=store,
+                must_store=args.store is not None,
+                progress=console.progress,
+            )
+        except KeyboardInterrupt:
+            if store is not None:
+                console.note(f"what was measured is kept in {store}: the same command goes on from there")
+            raise
     whole = args.output is not None or args.json or args.limits is not None or fresh
     return _outcome(batch, settings.table(), whole=whole)
 
@@ -129,6 +126,17 @@ def cluster_of(args: argparse.Namespace) -> Cluster | None:
         raise InputError("--scheduler and --scheduler-file are different engines; name one of them")
     named = args.scheduler or args.scheduler_file
     return Cluster(args.scheduler or "", file=args.scheduler_file or "") if named else None
+
+
+@contextmanager
+def engine_for(args: argparse.Namespace) -> Iterator[Engine]:
+    """The engine that the options name (`engine_of`), left when the block ends; what runs is waited for where it ended well."""
+    engine, finished = engine_of(args), False
+    try:
+        yield engine
+        finished = True
+    finally:
+        engine.close(wait=finished)
 
 
 def engine_of(args: argparse.Namespace) -> Engine:

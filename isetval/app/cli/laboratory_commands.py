@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from isetval.app.cli.batch_measure import add_engine_options, engine_of
+from isetval.app.cli.batch_measure import add_engine_options, engine_for
 from isetval.app.cli.console import Console
 from isetval.app.cli.loop_commands import default_jobs, load_both, positive
 from isetval.app.cli.measure_command import shard
@@ -130,8 +130,7 @@ def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
     model, plan, inputs = load_both(args.model, args.plan)
     truth = args.truth or Path(f"{args.output}.truth.json")
     console.say("shooting the plan")
-    engine, finished = engine_of(args), False
-    try:
+    with engine_for(args) as engine:
         made = make_challenge(
             model,
             plan,
@@ -143,9 +142,6 @@ def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
             part=args.shard,
             progress=console.progress,
         )
-        finished = True
-    finally:
-        engine.close(wait=finished)
     missing = f" appears when the other parts are shot: {made['done']} of {made['shots']} shots are there"
     lines = [
         f"challenge: {args.output}{missing if made['done'] < made['shots'] else ''}",

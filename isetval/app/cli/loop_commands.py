@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isetval.app.cli.batch_measure import add_cluster_options, add_engine_options, cluster_of, engine_of, has_engine
+from isetval.app.cli.batch_measure import add_cluster_options, add_engine_options, cluster_of, engine_for, has_engine
 from isetval.app.cli.console import Console
 from isetval.app.cli.curves import curve_options, shots_of
 from isetval.app.cli.measure_command import shard
@@ -178,14 +178,10 @@ def _simulate_on_engine(
 
     model, plan, made = what
     job = shooting(model, plan, made, seed=args.seed, values=made["nuisances"], draw=args.draw, sensor_seed=args.sensor_seed)
-    engine = engine_of(args)
-    target, finished = Path(args.output), False
-    console.say(f"shooting {len(plan.shots)} shots")
-    try:
+    target = Path(args.output)
+    with engine_for(args) as engine:
+        console.say(f"shooting {len(plan.shots)} shots")
         done, total = shoot_on(job, engine, target, part=args.shard, progress=console.progress)
-        finished = True
-    finally:
-        engine.close(wait=finished)
     result = {"kind": "simulate", "folder": str(target), "shots": total, "done": done, "settings": made}
     frames = sum(shot.frames for shot in plan.shots)
     if done < total:
