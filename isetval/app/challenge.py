@@ -154,7 +154,7 @@ def make_challenge(
     check_free(folder)
     if truth_file.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"{truth_file}: lies inside the challenge {folder}; keep the truth elsewhere")
-    begun = read_as(truth_file, Truth) if truth_file.exists() else {}
+    begun = _begun(truth_file)
     own_seed = begun.get("seed", secrets.randbelow(2**31)) if seed is None else seed
     truth, job = _drawn(model, plan, own_seed, kind, begun.get("nonce") or secrets.token_hex(16))
     kept = hidden_folder(job, folder)
@@ -172,6 +172,16 @@ def make_challenge(
         )
     done, shots = shoot_on(job, engine or Here(), folder, part=part, progress=progress)
     return {**job.commitment, "done": done, "shots": shots}
+
+
+def _begun(truth_file: Path) -> Mapping[str, Any]:
+    """The truth that a call before this one wrote; empty where there is none yet."""
+    if not truth_file.exists():
+        return {}
+    try:
+        return read_as(truth_file, Truth)
+    except InputError:
+        raise InputError(f"{truth_file}: exists already and is no truth of a challenge; name a new file for the truth") from None
 
 
 def _is_first(path: Path, text: str) -> bool:

@@ -140,3 +140,13 @@ def test_lag_takes_over_the_charge_of_the_shot_before(plan):
         codes, before = shoot(planned, camera, read.lights, 3, priors=read.priors, before_e=before)
         assert np.array_equal(shoot_shot(read, camera, number, 3), codes)
     assert before > 0
+
+
+@pytest.mark.parametrize("text", ["my notes", '{"a": 1}'])
+def test_a_file_that_is_there_is_no_place_for_the_truth(plan, tmp_path, capsys, text):
+    notes = tmp_path / "notes.txt"
+    notes.write_text(text)
+    assert main([*words_of(plan, tmp_path / "c"), "--truth", str(notes)]) == 3
+    assert "exists already" in capsys.readouterr().err
+    assert notes.read_text() == text
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
