@@ -40,8 +40,9 @@ def test_the_errors_of_mtf50_are_those_of_the_page(row):
     capture, true = region(width, amount), true_mtf50(amount)
     for method, said in (("default", default), ("iso12233:2023", standard)):
         found = 100 * (sfr(capture, method=method).mtf50_cy_px / true - 1)
-        assert found == pytest.approx(said, abs=0.15), (method, found)
+        assert found == pytest.approx(said, abs=0.15), (method, found)  # as printed by this code
+        assert method != "default" or abs(found) < 1.0  # and of the default against the truth: its sigma is .2 to .8 %
 
 
 def test_the_page_has_the_table():
-    assert len(re.findall(r"^\| \d+ px \|", PAGE.read_text(encoding="utf-8"), re.M)) == 4
+    assert len(re.findall(r"^\| \d+ px \|", PAGE.read_text(encoding="utf-8"), re.M)) == 6
