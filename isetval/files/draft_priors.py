@@ -22,8 +22,9 @@ LAMP = 0.3  # ours, per 100 nm: what lamps behind a band-pass filter differ by, 
 SETUP_LEVEL = 0.02  # ours: a lamp switched on again, a sphere's port opened again
 LEAST_SETUP_LEVEL = 0.005
 PATCH_COLOR = 0.1
-"""What a channel sees of a patch beside what curves of another camera and published averages say: in daylight and tungsten the
-24 colors of two cameras (Pixel 4a, flea3), level by level of their channels, are .074 and .080 rms apart; charts .06 (ours)."""
+"""What a channel sees of a patch beside what curves of another camera and published averages say: in D65 and A the 24 colors of
+two embedded cameras (the curves of a phone and of a CCD, ours after published peaks), channel by channel without its mean, are
+.074 and .080 rms apart (``tests/files/test_patch_color_prior.py``), and a real chart .06 off the averages."""
 BOW_SHARE = 0.25  # of the tilt's width: ratios of black bodies 2700 to 3000 K and 5500 to 6500 K bend by .14 to .26 of their tilt
 UNEVEN = 0.1  # of a tilt: of smaller ones the bend is below the 2 % that charts are lit to anyway
 LEAST_DARK_DN = 0.5  # mean of a dark without an offset: fewer than half of its pixels leave code 0

@@ -45,7 +45,8 @@ class Replicas:
 class Problem:
     """A measured campaign, what a model predicts for it at ``origin``, and the weights of the difference.
 
-    ``noise_bias`` is the part of the covariance's diagonal, (metrics,), that is the prediction's and not the captures'.
+    ``noise_bias`` and ``color_variance`` are parts of the covariance's diagonal, (metrics,): what is the prediction's and not the
+    captures', and what colors of patches that nobody knows make.
     ``steps`` are shortened finite steps of nuisances, by label.
     """
 
@@ -62,6 +63,7 @@ class Problem:
     replicas: Mapping[str, Replicas] = field(default_factory=dict)
     steps: dict[str, float] = field(default_factory=dict)
     noise_bias: Float | float = 0.0
+    color_variance: Float | float = 0.0
 
     @property
     def nominal(self) -> CameraModel:
@@ -170,9 +172,9 @@ def weigh(problem: Problem) -> None:
     """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
     keep = problem.keep
     covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
-    if columns := _marginal_columns(problem):
-        spread = np.column_stack(columns)
-        covariance = covariance + spread @ spread.T
+    flicker, colors = _marginal_columns(problem)
+    covariance = covariance + flicker @ flicker.T + colors @ colors.T
+    problem.color_variance = np.sum(colors**2, axis=1)
     problem.noise_bias = _bias_of_noise(problem)
     covariance = covariance + np.diag(_rounding(problem, np.diag(covariance)) + problem.noise_bias)
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
@@ -230,19 +232,19 @@ def _light_slope(problem: Problem, step: float) -> Float:
     return np.asarray((vector - problem.anchor) / step)
 
 
-def _marginal_columns(problem: Problem) -> list[Float]:
-    """Columns (metrics,) per sigma of what is integrated and not fitted: what flickers, what no color says."""
+def _marginal_columns(problem: Problem) -> tuple[Float, Float]:
+    """Columns (metrics, k) per sigma of what is integrated and not fitted: of what flickers, of colors that nobody knows."""
+    nothing = np.zeros((len(problem.predictor.table.metrics), 0))
     priors = [n for n in problem.plan.nuisances if n.marginalised]
     if not priors:
-        return []
+        return nothing, nothing
     slope = _light_slope(problem, FLICKER_STEP)
     lost = ~np.isfinite(slope)  # a plane that saturates in more light loses its rows: those are differentiated in less
     if lost.any():
         slope = np.where(lost, np.nan_to_num(_light_slope(problem, -FLICKER_STEP)), slope)
-    return [
-        *_frame_columns(problem, [n for n in priors if n.scope == "frame"], slope),
-        *_color_columns(problem, [n for n in priors if n.parameter == "patch_color"], slope),
-    ]
+    flicker = _frame_columns(problem, [n for n in priors if n.scope == "frame"], slope)
+    colors = _color_columns(problem, [n for n in priors if n.parameter == "patch_color"], slope)
+    return np.column_stack([nothing, *flicker]), np.column_stack([nothing, *colors])
 
 
 def _color_columns(problem: Problem, priors: Sequence[Nuisance], slope: Float) -> list[Float]:
@@ -250,19 +252,14 @@ def _color_columns(problem: Problem, priors: Sequence[Nuisance], slope: Float) -
 
     A factor of rows is exact however far off it is; spectra of patches and filters bend, and are as many unknowns for a fit.
     """
-    metrics = problem.predictor.table.metrics
-    acting = {shot.name: [n.sigma for n in priors if n.applies_to(shot)] for shot in problem.predictor.shots}
-    light = {shot.name: shot.light for shot in problem.predictor.shots}
-    groups: dict[tuple[str | None, str, str], list[int]] = {}
-    for i, m in enumerate(metrics):
-        if m.patch and acting.get(m.shot):
-            groups.setdefault((light[m.shot], m.patch, m.channel), []).append(i)
-    out = []
-    for rows in groups.values():
-        column = np.zeros_like(slope)
-        column[rows] = slope[rows] * float(np.linalg.norm(acting[metrics[rows[0]].shot]))
-        out.append(column)
-    return out
+    shots = {shot.name: shot for shot in problem.predictor.shots}
+    columns: dict[tuple[int, str | None, str, str], Float] = {}
+    for i, m in enumerate(problem.predictor.table.metrics):
+        for k, prior in enumerate(priors):
+            if m.patch and (shot := shots.get(m.shot)) is not None and prior.applies_to(shot):
+                column = columns.setdefault((k, shot.light, m.patch, m.channel), np.zeros_like(slope))
+                column[i] = prior.sigma * slope[i]
+    return list(columns.values())
 
 
 def _frame_columns(problem: Problem, priors: Sequence[Nuisance], slope: Float) -> list[Float]:

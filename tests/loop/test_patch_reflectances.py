@@ -138,7 +138,24 @@ def test_colors_that_are_off_do_not_fail_where_nobody_knows_them(camera):
         return next(r.mean_square_z for r in found.ladder if r.family == "chart_patch")
 
     assert square() > 1000
-    assert 0.2 < square(Nuisance("patch_color", 0.1, "relative", "campaign", roles=("chart",))) < 4
+    unknown = Nuisance("patch_color", 0.1, "relative", "campaign", roles=("chart",))
+    assert 0.2 < square(unknown) < 4
+    found = isetval.compare(camera, replace(chart(camera, STATED, unknown), captures=captures))
+    budget = next(row for row in found.budget if row.family == "chart_patch")
+    assert budget.color > 0.9
+    assert budget.light < 1e-6  # nothing flickers
+
+
+def test_each_statement_on_colors_acts_where_it_says(camera):
+    """One for the first set-up alone: rows of the other keep their error bars, and both share nothing."""
+    plan = chart(camera, STATED, Nuisance("patch_color", 0.1, "relative", "campaign", setups=("one",)))
+    shots = tuple(replace(s, setup=name) for s, name in zip(plan.shots, ("one", "other"), strict=True))
+    plan = replace(plan, shots=shots)
+    with prepare(camera, isetval.simulate(camera, plan, seed=8)) as prepared:
+        problem = prepared.problem
+        added = np.broadcast_to(problem.color_variance, len(problem.predictor.table.metrics))
+        rows = [(m.shot, i) for i, m in enumerate(problem.predictor.table.metrics) if m.name == "patch_mean"]
+        assert all((added[i] > 0) == (shot == plan.shots[0].name) for shot, i in rows)
 
 
 def test_a_color_has_one_value_in_all_shots():

@@ -11,8 +11,9 @@ PARTS = (
     ("sampling", "noise of the captures", "more frames"),
     ("specimen", "pattern of the specimen, shared by shots", "other places on the sensor"),
     ("simulation", "finite number of simulations", "more replicas"),
-    ("contrast", "contrasts near zero, which noise lengthens", "more light on the edges"),
+    ("contrast", "what noise adds to edges, most to contrasts near zero", "more light on the edges"),
     ("render", "finite number of rays", "more rays"),
+    ("color", "colors that nobody knows", "the camera's curves and the chart's reflectances"),
     ("light", "light between frames", "a steadier lamp"),
 )
 LEAST_SHOWN = 5e-4  # relative change that is written; below it an effect does nothing here
