@@ -86,10 +86,9 @@ def light_priors(
         out.append(
             DraftPrior(f"light_tilt_{axis}", 0.01, "relative", "measurement session", "CHECK: evenness of the field", ("flat",))
         )
-    guessed = tuple(light.name for light in lights if not light.told and not light.narrow)
-    if guessed:
-        words = "the level of a light whose radiance nobody stated; drop it once the spectrum is filled in"
-        out.append(DraftPrior("light_level", 0.2, "relative", "campaign", words, lit, guessed))
+    words = "the level of a light whose radiance nobody stated; drop it once the spectrum is filled in"
+    for light in (light for light in lights if not light.told and not light.narrow):
+        out.append(DraftPrior("light_level", 0.2, "relative", "campaign", words, lit, (light.name,)))
     for light in (light for light in lights if light.narrow):
         for color in ("red", "green", "blue"):
             words = f"CHECK: {light.name}: what no camera model knows of its filters in so narrow a band"

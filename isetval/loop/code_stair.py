@@ -51,7 +51,7 @@ def on_lowest_step(problem: Problem, fitted: Fit, key: str, code: float) -> Fit:
     spread = float(np.sqrt(weight @ (values - middle) ** 2 / weight.sum() + np.diff(values).min() ** 2 / 12))
     others = _others_at(problem, fitted, place, middle).tolist()
     moved = fit(problem, at(fitted.point, fitted.free, others), fitted.free, iterations=0)
-    best = moved if moved.chi2 < fitted.chi2 + SAME_STEP else fitted
+    best = moved if moved.cost < fitted.cost + SAME_STEP else fitted
     stretch = np.ones(len(fitted.free))
     stretch[place] = max(1.0, spread / float(np.sqrt(best.covariance[place, place])))
     return replace(best, covariance=best.covariance * np.outer(stretch, stretch), converged=fitted.converged)
@@ -74,15 +74,18 @@ def _profile(problem: Problem, fitted: Fit, place: int, values: list[float]) -> 
     basis, pulls, _ = _others(fitted, place)
     out = []
     for prediction in problem.predict([at(fitted.point, [fitted.free[place]], [v]) for v in values]):
-        rows = np.concatenate([problem.whitened(problem.measured - prediction), -pulls])
+        rows = np.concatenate([fitted.weight * problem.whitened(problem.measured - prediction), -pulls])
         out.append(float(rows @ rows - np.sum((basis.T @ rows) ** 2)))
     return out
 
 
 def _others(fitted: Fit, place: int) -> tuple[Float, Float, Float]:
-    """Basis of what all other parameters can do, their pulls, and their columns with the priors as further rows."""
+    """Basis of what all other parameters can do, their pulls, and their columns with the priors as further rows.
+
+    Rows are weighed with the scales of their families where the fit ended.
+    """
     free = [f for i, f in enumerate(fitted.free) if i != place]
-    matrix, priors = with_priors(np.delete(fitted.jacobian, place, axis=1), free)
+    matrix, priors = with_priors(fitted.weight[:, None] * np.delete(fitted.jacobian, place, axis=1), free)
     pulls = prior_weights(free) * (np.delete(fitted.values, place) - np.array([f.center for f in free]))
     return orthonormal_basis(matrix), pulls[priors], matrix
 
@@ -91,6 +94,6 @@ def _others_at(problem: Problem, fitted: Fit, place: int, value: float) -> Float
     """Values of all parameters with one at ``value`` and the others where their derivatives lead them."""
     _, pulls, matrix = _others(fitted, place)
     (prediction,) = problem.predict([at(fitted.point, [fitted.free[place]], [value])])
-    rows = np.concatenate([problem.whitened(problem.measured - prediction), -pulls])
+    rows = np.concatenate([fitted.weight * problem.whitened(problem.measured - prediction), -pulls])
     step = np.linalg.lstsq(matrix, rows, rcond=None)[0]
     return np.insert(np.delete(fitted.values, place) + step, place, value)

@@ -258,7 +258,7 @@ def _asked_for(case: Investigation, other: Hypothesis) -> bool:
     stands = case.standing
     if not stands.names or len(other.names) <= len(stands.names) or other.names > stands.names:
         return True
-    return stands.fitted.chi2 - other.fitted.chi2 > 2 * float(np.log(ODDS))
+    return stands.fitted.cost - other.fitted.cost > 2 * float(np.log(ODDS))
 
 
 def _needed(case: Investigation, other: Hypothesis) -> float:

@@ -147,8 +147,13 @@ def fitted_members(
     pose: Mapping[str, float],
     iterations: int = MAX_ITERATIONS,
 ) -> Fit:
-    """A fit of everything free from a pose, in long enough steps, on the lowest stair where members round whole codes anew."""
-    fitted = fit(problem, start, free, pose=pose, iterations=iterations)
+    """A fit of everything free from a pose, in long enough steps, on the lowest stair where members round whole codes anew.
+
+    Noise widens the rows that it is in: the scales of their families would answer in its place, so that it is fitted with error
+    bars as they are stated.
+    """
+    stated = any(isinstance(m, Candidate) and m.draws_noise for m in members)
+    fitted = fit(problem, start, free, pose=pose, iterations=iterations, stated=stated)
     for turn in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted, members)
         anew = turn < 2 and _is_imitated(fitted)
@@ -156,7 +161,7 @@ def fitted_members(
             break
         if anew:
             problem.columns.clear()
-        fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations)
+        fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations, stated=stated)
     for member in members if iterations else ():
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)

@@ -97,7 +97,7 @@ class Prepared:
             fitted = fit(problem, Point(model, values) if focused else there, free)
             if focused:
                 with suppress(InputError):  # rows that are seen at this focus may be lost with the other nuisances
-                    fitted = min(fitted, fit(problem, there, free), key=lambda end: end.chi2)
+                    fitted = min(fitted, fit(problem, there, free), key=lambda end: end.cost)
         return problem, told_here(problem, fitted) if values else fitted
 
     def fit_nuisances(self, model: CameraModel) -> Fit:

@@ -13,6 +13,7 @@ from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
 from isetval.core.scene import ChartTarget
+from isetval.loop.family_scales import Families
 from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 from isetval.loop.shot_task import Sampled
@@ -74,6 +75,11 @@ class Problem:
     def plan(self) -> Campaign:
         """The plan behind the measured campaign."""
         return self.predictor.plan
+
+    @property
+    def families(self) -> Families:
+        """Families of the kept rows, as the whitening leaves them: it is triangular."""
+        return Families.of([self.predictor.table.metrics[i].family for i in self.keep])
 
     def predict(self, points: Sequence[Point]) -> list[Float]:
         """Predictions (metrics,): the base plus differences with common random numbers."""
@@ -225,7 +231,14 @@ def _bias_of_noise(problem: Problem) -> Float:
 
 
 def _light_slope(problem: Problem, step: float) -> Float:
-    """Derivative of the metrics (metrics,) by the light's relative level, nan where a row cannot be measured there."""
+    """Derivative of the metrics (metrics,) by the light's relative level, of rows that saturate in more light by less."""
+    slope = _light_difference(problem, step)
+    lost = ~np.isfinite(slope)
+    return np.where(lost, np.nan_to_num(_light_difference(problem, -step)), slope) if lost.any() else slope
+
+
+def _light_difference(problem: Problem, step: float) -> Float:
+    """Finite difference by a step of the light's relative level (metrics,), nan where a row cannot be measured there."""
     plan, predictor = problem.plan, problem.predictor
     moved = replace(plan, shots=tuple(replace(s, light_level=s.light_level * (1 + step)) for s in plan.shots))
     (vector,) = predictor.of_plan(moved).derivative_vectors([problem.origin], problem.seeds)
@@ -235,29 +248,27 @@ def _light_slope(problem: Problem, step: float) -> Float:
 def _marginal_columns(problem: Problem) -> tuple[Float, Float]:
     """Columns (metrics, k) per sigma of what is integrated and not fitted: of what flickers, of colors that nobody knows."""
     nothing = np.zeros((len(problem.predictor.table.metrics), 0))
-    priors = [n for n in problem.plan.nuisances if n.marginalised]
-    if not priors:
-        return nothing, nothing
-    slope = _light_slope(problem, FLICKER_STEP)
-    lost = ~np.isfinite(slope)  # a plane that saturates in more light loses its rows: those are differentiated in less
-    if lost.any():
-        slope = np.where(lost, np.nan_to_num(_light_slope(problem, -FLICKER_STEP)), slope)
-    flicker = _frame_columns(problem, [n for n in priors if n.scope == "frame"], slope)
-    colors = _color_columns(problem, [n for n in priors if n.parameter == "patch_color"], slope)
+    frames = [n for n in problem.plan.nuisances if n.marginalised and n.scope == "frame"]
+    flicker = _frame_columns(problem, frames, _light_slope(problem, FLICKER_STEP)) if frames else []
+    colors = _color_columns(problem, [n for n in problem.plan.nuisances if n.parameter == "patch_color"])
     return np.column_stack([nothing, *flicker]), np.column_stack([nothing, *colors])
 
 
-def _color_columns(problem: Problem, priors: Sequence[Nuisance], slope: Float) -> list[Float]:
+def _color_columns(problem: Problem, priors: Sequence[Nuisance]) -> list[Float]:
     """Columns of what each channel sees of each patch in each light: it acts as that light on the rows of both.
 
     A factor of rows is exact however far off it is; spectra of patches and filters bend, and are as many unknowns for a fit.
+    Temporal noise at a level is that of the patches of about this level: it goes as far as one color that is off moves it, of
+    which a step as long as the prior is wide tells more than rounding does.
     """
     shots = {shot.name: shot for shot in problem.predictor.shots}
+    slope = _light_slope(problem, max(prior.sigma for prior in priors)) if priors else np.zeros(0)
     columns: dict[tuple[int, str | None, str, str], Float] = {}
     for i, m in enumerate(problem.predictor.table.metrics):
+        seen = m.patch or (m.region if m.name == "uniform_patch_noise" else "")
         for k, prior in enumerate(priors):
-            if m.patch and (shot := shots.get(m.shot)) is not None and prior.applies_to(shot):
-                column = columns.setdefault((k, shot.light, m.patch, m.channel), np.zeros_like(slope))
+            if seen and (shot := shots.get(m.shot)) is not None and prior.applies_to(shot):
+                column = columns.setdefault((k, shot.light, seen, m.channel), np.zeros_like(slope))
                 column[i] = prior.sigma * slope[i]
     return list(columns.values())
 

@@ -15,11 +15,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.loop.family_scales import SCALE_DOF, SCALE_SETTLED, SCALE_TURNS
+
 Float = NDArray[np.float64]
 Subset = tuple[int, ...]
-SCALE_DOF = 50.0  # a stated sigma is known to 1/sqrt(2 dof) = 10 %, as estimators and 16 replicas know it
-SCALE_TURNS = 12  # fixed-point turns of the scales; each brings them closer by about n/(n + SCALE_DOF) of what nuisances take
-SCALE_SETTLED = 1e-3  # relative change of every scale: 1e-3 of 1/sqrt(n) sigmas in chi2
 BEAM = 24  # subsets of a size that get scales of their own and are grown: the prior odds of each step leave the rest far below
 MAX_EFFECTS = 4  # in one diagnosis: a model that lacks more is better mended step by step
 

@@ -93,6 +93,8 @@ def test_what_repeats_says_so_and_priors_come_from_the_files(lab):
     per_frame = next(n for n in campaign.nuisances if n.parameter == "light_level" and n.scope == "frame")
     frames = 33
     assert per_frame.sigma == pytest.approx(0.001, rel=4 / np.sqrt(2 * frames))  # the lamp's flicker in the foreign camera
+    levels = [n.lights for n in campaign.nuisances if n.parameter == "light_level" and n.scope == "campaign"]
+    assert sorted(levels) == sorted((name,) for name in campaign.lights)  # one lamp's level says nothing of another's
     text = (folder / "campaign.toml").read_text()
     assert "found: scatter of the means" in text
     head = text.split("\nradiance = ")[0]

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from isetval.camera.model_file import load_model
+from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
 from isetval.loop.derivatives import difference_of_both, jacobian
-from isetval.loop.fit import far_values, fit, moved_far, walked
+from isetval.loop.fit import far_values, fit, moved_far
+from isetval.loop.fit_state import walked
 from isetval.loop.prediction import Base, Point
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
@@ -25,6 +27,7 @@ class BentCamera:
     """Contrast falls with the square of defocus; a shift of the edge tilts the three stops a little, and bends them."""
 
     noise_free = np.ones(2 * STOPS_UM.size + 1, bool)
+    table = SimpleNamespace(metrics=[Metric("mtf", 0.0, 1.0, "1", family="mtf")] * (2 * STOPS_UM.size + 1))
 
     def __init__(self):
         self.calls = 0
@@ -93,6 +96,8 @@ FACTORS = ("light_level", "qe_green", *(f"patch_reflectance:{i}" for i in range(
 
 class Product:
     """Levels that are a product of light, efficiency and reflectance, cut off at 255: nothing below no light, no slope above."""
+
+    table = SimpleNamespace(metrics=[Metric("mean", 0.0, 1.0, "DN", family="flat_mean")] * LEVELS_DN.size)
 
     def __init__(self, names):
         self.labels = [f"{name}@campaign:" for name in names]
@@ -238,3 +243,45 @@ def test_other_valleys_are_looked_at_only_where_the_nearest_leaves_more_than_err
     calls = case.problem.predictor.calls
     assert deepest(case.problem, start, RINGED) is start
     assert case.problem.predictor.calls <= calls + 2
+
+
+FREQUENCIES = np.linspace(0.05, 0.5, 10)
+ANGLE, LEVEL = "edge_angle_deg@set-up:e[edge]", "light_level@set-up:e[edge]"
+TURNED = (
+    Parameter("edge_angle_deg", scope="set-up", group="e", only=("edge",), prior=0.1, step=0.1, curved=True),
+    Parameter(
+        "light_level", scope="set-up", group="e", only=("edge",), unit="relative", prior=0.02, step=0.02, factor=True, low=-1
+    ),
+)
+
+
+class TurnedEdge(BentCamera):
+    """Contrasts that fall where an edge is turned away from its window's, .3 degrees from here; four levels."""
+
+    noise_free = np.ones(FREQUENCIES.size + 4, bool)
+    table = SimpleNamespace(
+        metrics=[Metric("mtf", 0.0, 1.0, "1", family="mtf")] * FREQUENCIES.size
+        + [Metric("edge_bright_level", 0.0, 1.0, "DN", family="edge_bright_level")] * 4
+    )
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        return [self.at(p.values.get(ANGLE, 0.0), p.values.get(LEVEL, 0.0)) for p in points]
+
+    @staticmethod
+    def at(angle, level, blur=0.0):
+        contrast = np.exp(-(FREQUENCIES**2) * (1 + (angle + 0.3) ** 2) - blur * FREQUENCIES)
+        return np.concatenate([contrast, np.full(4, 0.7 * (1 + level) * (1 + 0.05 * np.tanh(angle)))])
+
+
+@pytest.mark.parametrize("blur", [0.0, 4.0])
+def test_a_blur_that_the_model_lacks_turns_no_edge(blur):
+    """Of contrasts 300 sigmas off a fit by their error bars made 32 prior sigmas of turn, and of the light's level 2."""
+    camera, n = TurnedEdge(), FREQUENCIES.size + 4
+    base = Base(camera.at(0.0, 0.0), SIGMA**2 * np.eye(n), np.zeros((16, n)), np.ones(n))
+    measured, whiten = camera.at(0.05, 0.03, blur), np.eye(n) / SIGMA
+    case = Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(n), whiten, base.mean, base.covariance)
+    found = fit(case, Point(SimpleNamespace()), TURNED)
+    assert found.converged
+    # two prior sigmas cost 4; where nothing is left over, contrasts tell the angle to SIGMA over their slope of .15 a degree
+    assert abs(found.value(ANGLE)[0] - 0.05) < (0.2 if blur else 3 * SIGMA / 0.15)
+    assert found.value(LEVEL)[0] == pytest.approx(0.03, abs=0.02 if blur else 0.003)

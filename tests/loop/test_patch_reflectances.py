@@ -161,3 +161,13 @@ def test_each_statement_on_colors_acts_where_it_says(camera):
 def test_a_color_has_one_value_in_all_shots():
     with pytest.raises(InputError, match="campaign"):
         Nuisance("patch_color", 0.1, "relative", "set-up")
+
+
+def test_noise_at_a_level_is_as_uncertain_as_the_colors_that_make_the_level(camera):
+    """Of 3000 electrons noise goes as the root: colors known to 10 % leave it to 5 %, read noise and fixed steps take of that."""
+    prior = Nuisance("patch_color", 0.1, "relative", "campaign", roles=("chart",))
+    with prepare(camera, isetval.simulate(camera, chart(camera, STATED, prior), seed=4)) as prepared:
+        problem = prepared.problem
+        rows = [i for i in problem.keep if problem.predictor.table.metrics[i].name == "uniform_patch_noise"]
+        share = np.sqrt(problem.color_variance[rows]) / problem.base.mean[rows]
+        assert 0.03 < np.median(share) < 0.055
