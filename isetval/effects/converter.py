@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, parameter
+from isetval.core.errors import InputError
 from isetval.core.sensor import black_at
 from isetval.core.signal import Signal
 
 Array = NDArray[Any]
+LEAST_SHARE = 0.02  # of pixels with the next step: files scaled to 65535 have steps of 16.004 or 64.06, and no bit less
+FILTER_FORMS = ("whole codes", "before rounding")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,11 +148,71 @@ class BlackLevel(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RawFiltering(Effect):
+    """Noise reduction in the "raw": neighbours of the same colour are mixed.
+
+    MTF falls and the noise becomes correlated; the neighbour covariance of darks shows it.
+
+    ``form``: "whole codes", rounded before and after, where a weight of .04 moves few pixels of a dark by half a code, or
+    "before rounding", on values finer than the file's codes, as of a processor that keeps fractions: darks lose their noise too.
+    """
+
+    name = "raw_filtering"
+    stage = "electronics"
+    acts_on = "dn"
+    gives = "dn"
+    order = 86.0
+    absent = "untouched raw data"
+    imitated_by = (
+        "charge_diffusion",
+        "interpixel_capacitance",
+        "defocus",
+    )
+    halo_px = 2
+    equation = "(1 - 4 w) DN + w (sum of the 4 nearest of the same colour), before the converter rounds"
+    reference = "first-order smoothing kernel; e.g. Gonzalez & Woods, Digital Image Processing, sec. 3.5"
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": FILTER_FORMS}
+
+    weight: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.02, doc="weight w of each neighbour")
+    form: str = FILTER_FORMS[0]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.form not in FILTER_FORMS:
+            raise InputError(f"effect raw_filtering: form is {self.form!r}; it needs one of {', '.join(FILTER_FORMS)}")
+
+    def content(self) -> tuple[Any, ...]:
+        """The weight and the form."""
+        return (*super().content(), self.form)
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Smooth each colour plane; at the border the pixel stands in for its missing neighbour."""
+        if not self.weight:
+            return signal
+        step = 1 if context.sensor.cfa == "MONO" else 2
+        values = np.clip(signal.values, 0, context.sensor.white_dn)
+        if self.form == "whole codes" and context.mode != "expected":
+            np.rint(values, out=values)
+        old = values.copy()
+        for axis in (1, 2):
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -step), slice(step, None)
+            flow = self.weight * (old[tuple(high)] - old[tuple(low)])
+            values[tuple(low)] += flow
+            values[tuple(high)] -= flow
+        return signal.with_values(values)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Quantization(Effect):
     """The converter: rounding to steps, limits at 0 and white.
 
     The variance grows by step^2/12 only where the noise is wider than about half a step; code
     occupancy of a bright flat shows steps.  The expectation is limited but not rounded.
+
+    A converter that lacks its lowest bits has a step of 2, 4, 8 DN.  Between two such steps a share of the pixels, evenly
+    spread, has the larger one: what a step of 1.4 DN does to a dark hangs on where its level falls, so that metrics would go
+    up and down along the way from 1 to 2, and no fit would pass.
     """
 
     name = "quantization"
@@ -163,7 +227,7 @@ class Quantization(Effect):
         "linearization_table",
         "uneven_codes",
     )
-    equation = "step x round(DN / step), limited to 0 ... white"
+    equation = "step x round(DN / step), limited to 0 ... white; s = 2^k (1 + f): steps 2^k, in a share f of pixels 2^(k + 1)"
     reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4"
 
     step_dn: float = parameter(0.0, unit="DN", low=0.0, high=256.0, tau=1.0, doc="step of the converter (0: no rounding)")
@@ -172,11 +236,24 @@ class Quantization(Effect):
         """Round and limit."""
         values = signal.values
         if self.step_dn and context.mode != "expected":
-            values = self._rounded(values)
+            values = self._rounded(values, context)
         return signal.with_values(np.clip(values, 0, context.sensor.white_dn))
 
-    def _rounded(self, values: Array) -> Array:
-        codes = values * (1 / self.step_dn)
-        np.rint(codes, out=codes)
-        codes *= self.step_dn
-        return codes
+    def _rounded(self, values: Array, context: Context) -> Array:
+        step = self.step_dn if self.step_dn <= 1 else 2.0 ** np.floor(np.log2(self.step_dn))
+        fine, share = _to_steps(values, step), self.step_dn / step - 1
+        return fine if share < LEAST_SHARE else np.where(_evenly_spread(context) < share, _to_steps(values, 2 * step), fine)
+
+
+def _to_steps(values: Array, step: float) -> Array:
+    codes = values * (1 / step)
+    np.rint(codes, out=codes)
+    codes *= step
+    return codes
+
+
+def _evenly_spread(context: Context) -> NDArray[np.float64]:
+    """A number from 0 to 1 for every pixel (rows, cols): any share of them lies in every part of the sensor (Roberts, 2018)."""
+    row, col, rows, cols = context.window
+    down, along = (row + np.arange(rows)) * 0.7548776662466927, (col + np.arange(cols)) * 0.5698402909980532
+    return np.asarray((down[:, None] + along[None, :]) % 1.0)

@@ -44,7 +44,8 @@ class DarkCurrent(Effect):
 class TemperatureDrift(Effect):
     """Dark current that grows from frame to frame as the camera warms up.
 
-    Hidden by averages over frames: the mean of each frame shows it.
+    Hidden by averages over frames: the mean of each frame shows it.  What warms up by a constant power goes towards an end as
+    an exponential: ``settling_per_frame`` is how far it comes in a frame (0: no end in sight, the rise is linear).
     """
 
     name = "temperature_drift"
@@ -59,15 +60,18 @@ class TemperatureDrift(Effect):
         "lag",
     )
     free = FreeAxis("exposure", "strength", 0.5)
-    equation = "mu + k n t, n the number of the frame within its shot"
-    reference = "EMVA Standard 1288 Release 4.0, sec. 7.3 (temperature dependence); first-order term"
+    equation = "mu + k t (1 - exp(-s n))/s, n the number of the frame within its shot; k n t at s = 0"
+    reference = "EMVA Standard 1288 Release 4.0, sec. 7.3 (temperature dependence); Newton's law of heating, first order"
     must_not_change = ("edge",)
 
     rate_e_per_s_per_frame: float = parameter(0.0, unit="e-/s/frame", low=0.0, high=1e5, tau=0.5, doc="growth k per frame")
+    settling_per_frame: float = parameter(0.0, unit="1/frame", low=0.0, high=10.0, tau=1.0, shape=True, doc="settling s")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add this frame's extra dark charge."""
-        added = self.rate_e_per_s_per_frame * context.frame * context.time_s()
+        settling, frame = self.settling_per_frame, context.frame
+        frames = -np.expm1(-settling * frame) / settling if settling else frame
+        added = self.rate_e_per_s_per_frame * frames * context.time_s()
         return signal.with_values(signal.values + added) if added else signal
 
 

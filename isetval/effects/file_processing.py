@@ -140,47 +140,6 @@ class DigitalGain(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RawFiltering(Effect):
-    """Noise reduction in the "raw": neighbours of the same colour are mixed.
-
-    MTF falls and the noise becomes correlated; the neighbour covariance of darks shows it.
-    """
-
-    name = "raw_filtering"
-    stage = "file"
-    acts_on = "dn"
-    gives = "dn"
-    whole_codes = True
-    order = 30.0
-    absent = "untouched raw data"
-    imitated_by = (
-        "charge_diffusion",
-        "interpixel_capacitance",
-        "defocus",
-    )
-    halo_px = 2
-    equation = "(1 - 4 w) DN + w (sum of the 4 nearest of the same colour)"
-    reference = "first-order smoothing kernel; e.g. Gonzalez & Woods, Digital Image Processing, sec. 3.5"
-
-    weight: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.02, doc="weight w of each neighbour")
-
-    def apply(self, signal: Signal, context: Context) -> Signal:
-        """Smooth each colour plane; at the border the pixel stands in for its missing neighbour."""
-        if not self.weight:
-            return signal
-        step = 1 if context.sensor.cfa == "MONO" else 2
-        values = np.array(signal.values)
-        old = values.copy()
-        for axis in (1, 2):
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -step), slice(step, None)
-            flow = self.weight * (old[tuple(high)] - old[tuple(low)])
-            values[tuple(low)] += flow
-            values[tuple(high)] -= flow
-        return _in_codes(signal, values, context)
-
-
-@dataclass(frozen=True, kw_only=True)
 class LensCorrection(Effect):
     """A warp that was applied to the "raw" planes: edges move radially, noise becomes correlated.
 

@@ -191,6 +191,7 @@ class Gate(msgspec.Struct, frozen=True):
     n: int = 0
     allowed: Number = None
     reason: Words = None
+    nominal_mean_square_z: Number = None
 
 
 class Diagnosed(msgspec.Struct, frozen=True):

@@ -19,7 +19,7 @@ from isetval.loop.error_budget import BudgetRow, error_budget
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import degrees_spent, expected_mean_square, square, whitener
 from isetval.loop.given_side import given_rows
-from isetval.loop.prepared import Prepared, prepare, repeat_gate
+from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate
 from isetval.loop.problem import Problem
 from isetval.loop.region_change import region_change
 from isetval.loop.telling import Progress, Say, Teller
@@ -235,8 +235,10 @@ def comparison_of(
     budget: list[BudgetRow] = []
     teller = Teller.of(say)
     notes = list(prepared.table.notes)
+    gate = repeat_gate(prepared)
     for model in models:
         problem, fitted = prepared.settled(model)
+        gate = gate_with(prepared, gate, problem, fitted)
         if not fitted.converged:
             notes.append(f"{model.name}: the fit of the laboratory's unknowns did not settle; its errors are upper bounds")
         frames.append(_rows(prepared, problem, model, fitted))
@@ -246,7 +248,7 @@ def comparison_of(
     return Comparison(
         table=pd.concat(frames, ignore_index=True),
         ladder=tuple(ladder_rows(prepared, models)),
-        gate=repeat_gate(prepared),
+        gate=gate,
         nuisances=nuisances,
         models=tuple(models),
         notes=tuple(notes),

@@ -29,7 +29,7 @@ from isetval.loop.investigation import (
 )
 from isetval.loop.posterior import NOTHING, Names
 from isetval.loop.prediction import Point
-from isetval.loop.prepared import Prepared, prepare, repeat_gate, split_sessions
+from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate, split_sessions
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
 from isetval.loop.signatures import signatures
@@ -110,18 +110,18 @@ def diagnose(
         try:
             prepared = stack.enter_context(prepare(model, used, jobs=jobs, say=watch))
             gate = repeat_gate(prepared)
-            if gate["failed"]:
-                return _gate_failed(model, gate, prepared)
             held = stack.enter_context(prepare(model, other, jobs=jobs, say=watch)) if other is not None else ready
             case = _open_case(prepared, model, watch, held)
         except TimeUp:
             return _unfinished(model, watch)
         try:
             _investigate(case, watch)
-            return account_of(case, gate, say=watch, more=with_next_captures)
+            gate = gate_with(prepared, gate, case.problem, case.fitted)
+            return _gate_failed(case, gate) if gate["failed"] else account_of(case, gate, say=watch, more=with_next_captures)
         except TimeUp:
             watch.open = False
-            return stopped_account(case, gate, watch, unfitted=_unfitted(case))
+            gate = gate_with(prepared, gate, case.problem, case.fitted)
+            return _gate_failed(case, gate) if gate["failed"] else stopped_account(case, gate, watch, unfitted=_unfitted(case))
 
 
 def _unfinished(model: CameraModel, watch: Deadline) -> Diagnosis:
@@ -136,9 +136,12 @@ def _unfitted(case: Investigation) -> list[str]:
     return [name for names in _proposals(case, first=True)[:RANKED] for name in names if name not in fitted]
 
 
-def _gate_failed(model: CameraModel, gate: Mapping[str, Any], prepared: Prepared) -> Diagnosis:
-    words = f"repeated set-ups scatter {gate['mean_square_z']:.2f} times the stated variance; mend the error bars first"
-    return Diagnosis("gate_failed", (), (), (), (), words, (), gate, model, model, notes=prepared.table.notes)
+def _gate_failed(case: Investigation, gate: Mapping[str, Any]) -> Diagnosis:
+    model, also = case.prepared.model, ""
+    if case.standing.effects:
+        also = f", with {', '.join(sorted(case.standing.names))}, the best statement, as without"
+    words = f"repeated set-ups scatter {gate['mean_square_z']:.2f} times the stated variance{also}; mend the error bars first"
+    return Diagnosis("gate_failed", (), (), (), (), words, (), gate, model, model, notes=case.prepared.table.notes)
 
 
 def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Investigation:
@@ -180,6 +183,7 @@ def _investigate(case: Investigation, say: Say) -> None:
             if turn == 0 and _is_lost(case, better):
                 case.remarks.append(_lost_words(case, better))
                 break
+            better = _form_before_name(case, better, say)
             say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
             seen.add(better.names)
             same = {id(m) for m in better.effects} == {id(m) for m in case.standing.effects}
@@ -189,6 +193,19 @@ def _investigate(case: Investigation, say: Say) -> None:
     except TimeUp:
         case.standing = _winner(case, seen) or case.standing
         raise
+
+
+def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypothesis:
+    """What should stand: where it adds a name to what stands, that in another form, if the name has not 19 to 1 against it.
+
+    What is left over may be too little to be seen as such, and enough for a name that goes with it: a warm-up that comes to an
+    end leaves of a linear one what looks like more dark current.
+    """
+    if not (case.standing.effects and better.names > case.standing.names):
+        return better
+    shaped = in_best_form(case, case.standing, say, asked=True)
+    gain = better.log_evidence + case.log_prior(better.members) - shaped.log_evidence - case.log_prior(shaped.members)
+    return better if shaped is case.standing or gain > float(np.log(ODDS)) else shaped
 
 
 def _is_lost(case: Investigation, found: Hypothesis) -> bool:

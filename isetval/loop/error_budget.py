@@ -52,7 +52,7 @@ def error_budget(prepared: Prepared, problem: Problem, fitted: Fit, regions: Reg
     parts = _parts(problem)
     square = fitted.residual[keep] ** 2 / np.diag(problem.covariance)[keep]
     families = np.array([problem.predictor.table.metrics[i].family for i in keep])
-    repeats = _repeats(prepared)
+    repeats = _repeats(prepared, problem, fitted)
     rows = []
     for family in dict.fromkeys(families):
         these = families == family
@@ -95,9 +95,9 @@ def _parts(problem: Problem) -> dict[str, Float]:
     return {name: part / total for name, part in shares.items()}
 
 
-def _repeats(prepared: Prepared) -> Mapping[str, float]:
+def _repeats(prepared: Prepared, problem: Problem, fitted: Fit) -> Mapping[str, float]:
     """Mean square of z between repeated set-ups beyond 1, by family."""
-    rows, difference, spread = repeat_differences(prepared)
+    rows, difference, spread = repeat_differences(prepared, problem, fitted)
     squares: dict[str, list[float]] = {}
     for (row, _), d, variance in zip(rows, difference, np.diag(spread), strict=True):
         squares.setdefault(prepared.table.metrics[row].family, []).append(d**2 / variance)

@@ -33,22 +33,22 @@ FREE_SHARE = 0.1  # of the prior that the catalogue's form of an effect has: wha
 LEFT = 0.1  # how often a right form may be asked for another: what that costs is a few simulations
 
 
-def in_best_form(case: Investigation, found: Hypothesis, say: Say) -> Hypothesis:
+def in_best_form(case: Investigation, found: Hypothesis, say: Say, *, asked: bool = False) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
     Shape parameters and free forms are first weighed as further columns of the linear model about the fit, where anything is
-    left over; those that promise strong evidence are fitted in full.
+    left over (or it is ``asked``: another name is about to explain it); those that promise strong evidence are fitted in full.
     The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.
     """
     for name in sorted(m.name for m in found.effects):
-        found = _in_best_form_of(case, found, name, say)
+        found = _in_best_form_of(case, found, name, say, asked)
     return found
 
 
-def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say) -> Hypothesis:
-    if not (_openings(_form(found, name)) and _something_left(case, found)):
+def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say, asked: bool) -> Hypothesis:
+    if not (_openings(_form(found, name)) and (asked or _something_left(case, found))):
         return found
-    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name))]
+    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, asked))]
     if len(fits) == 1:
         return found
     fits.sort(key=case.score, reverse=True)
@@ -113,11 +113,11 @@ def _something_left(case: Investigation, found: Hypothesis) -> bool:
     )  # a ratio of evidences passes 1/p by chance in p of all cases
 
 
-def _promising(case: Investigation, found: Hypothesis, name: str) -> list[Candidate]:
+def _promising(case: Investigation, found: Hypothesis, name: str, asked: bool) -> list[Candidate]:
     """Openings whose further parameters promise strong evidence in the linear model about a fit, and enough to matter.
 
     Of an effect that lies far behind the best hypothesis no form is asked for that would have to gain more than the linear
-    model can be wrong by.
+    model can be wrong by; where it is ``asked`` for in the place of another name, the best is worth a fit.
     """
     openings = _openings(_form(found, name))
     widest = openings[-1]
@@ -134,6 +134,8 @@ def _promising(case: Investigation, found: Hypothesis, name: str) -> list[Candid
         gain = weigh(linear_model(case.problem, found.fitted, [term]), (0,)).log_evidence - alone + float(np.log(FREE_SHARE))
         promised.append((gain, opened))
     promised.sort(key=lambda item: -item[0])
+    if asked:
+        return [opened for _, opened in promised[:1]]
     behind = max(case.score(h) for h in case.known.values()) - CLOSE_LOG_ODDS - case.score(found)
     return [
         opened for gain, opened in promised if gain > max(CLOSE_LOG_ODDS, promised[0][0] - CLOSE_LOG_ODDS, (1 - BENDS) * behind)

@@ -210,8 +210,8 @@ def split_sessions(campaign: Campaign, holdout: Campaign | None) -> tuple[Campai
     return campaign.session(sessions[0]), campaign.session(sessions[1])
 
 
-def repeat_gate(prepared: Prepared) -> dict[str, Any]:
-    """Whether repeated set-ups agree within their error bars.
+def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit | None = None) -> dict[str, Any]:
+    """Whether repeated set-ups agree within the error bars of ``problem`` at ``fitted`` (default: those of the prepared model).
 
     z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the
     set-up scope priors of both; the mean square must be 1 within max(0.05, 3 sd), or below what the replicas show of it: the
@@ -222,7 +222,8 @@ def repeat_gate(prepared: Prepared) -> dict[str, Any]:
     dict
         ``run`` (False without repeats), ``failed``, ``mean_square_z``, ``n``, ``allowed``.
     """
-    rows, difference, spread = repeat_differences(prepared)
+    problem = problem or prepared.problem
+    rows, difference, spread = repeat_differences(prepared, problem, fitted)
     if not rows:
         return {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None}
     values, vectors = np.linalg.eigh(spread)
@@ -232,12 +233,24 @@ def repeat_gate(prepared: Prepared) -> dict[str, Any]:
     from scipy.stats import chi2, norm
 
     # 3 standard deviations as a probability: chi2 is skew where the repeats are few
-    expected = _expected_square(prepared.problem, rows, vectors[:, use], values[use])
+    expected = _expected_square(problem, rows, vectors[:, use], values[use])
     free = max(n * expected, 1.0)
     low, high = expected * float(chi2.ppf(norm.sf(3), free)) / free, float(chi2.ppf(norm.cdf(3), n)) / n
     failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
     allowed = max(high, 1 + MIN_GATE) - 1
     return {"run": True, "failed": failed, "mean_square_z": square, "n": n, "allowed": allowed}
+
+
+def gate_with(prepared: Prepared, nominal: Mapping[str, Any], problem: Problem, fitted: Fit) -> dict[str, Any]:
+    """A gate that failed with the nominal camera's error bars (``nominal``), asked with those of another model.
+
+    A strong effect changes what repeats should differ by: behind a smoothing rows and columns scatter otherwise, behind a bent
+    converter two levels of one light are no longer in proportion.  ``nominal_mean_square_z`` keeps what it was.
+    """
+    if not nominal["failed"] or problem is prepared.problem:
+        return dict(nominal)
+    first = nominal.get("nominal_mean_square_z", nominal["mean_square_z"])
+    return repeat_gate(prepared, problem, fitted) | {"nominal_mean_square_z": first}
 
 
 def _expected_square(problem: Problem, rows: Sequence[tuple[int, int]], axes: Float, stated: Float) -> float:
@@ -251,9 +264,11 @@ def _expected_square(problem: Problem, rows: Sequence[tuple[int, int]], axes: Fl
     return min(1.0, float(np.mean((stated - sampled + shown) / stated)))
 
 
-def repeat_differences(prepared: Prepared) -> tuple[list[tuple[int, int]], Float, Float]:
+def repeat_differences(
+    prepared: Prepared, problem: Problem, fitted: Fit | None = None
+) -> tuple[list[tuple[int, int]], Float, Float]:
     """Rows of repeated set-ups in pairs, their differences (pairs,), and the covariance (pairs, pairs) that these should have."""
-    problem, table = prepared.problem, prepared.table
+    table = prepared.table
     rows = _paired_rows(table, problem, [(s, s.repeat_of) for s in prepared.campaign.shots if s.repeat_of is not None])
     pick = np.zeros((len(rows), len(table.metrics)))
     for i, (a, b) in enumerate(rows):
@@ -262,7 +277,7 @@ def repeat_differences(prepared: Prepared) -> tuple[list[tuple[int, int]], Float
     captures = problem.covariance - np.diag(np.broadcast_to(problem.noise_bias, len(table.metrics)))
     covariance = captures[np.ix_(problem.keep, problem.keep)] / (1 + 1 / problem.base.replicas)
     spread = local @ covariance @ local.T + (
-        _set_up_part(problem, prepared.fit_nuisances(prepared.model), local) if rows else 0.0
+        _set_up_part(problem, fitted or prepared.fit_nuisances(prepared.model), local) if rows else 0.0
     )
     return rows, pick @ np.nan_to_num(table.values), spread
 

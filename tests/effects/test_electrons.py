@@ -44,6 +44,9 @@ def test_dark_charge_grows_with_time_frame_and_place(place, charge):
     context = place(exposure=Exposure(time_s=2.0), frame=3)
     np.testing.assert_allclose(run(DarkCurrent(rate_e_per_s=0.261), charge(10), context), 10.522)
     np.testing.assert_allclose(run(TemperatureDrift(rate_e_per_s_per_frame=0.1), charge(10), context), 10.6)
+    ending = TemperatureDrift(rate_e_per_s_per_frame=0.1, settling_per_frame=0.5)
+    rise = 0.1 * context.time_s() * (1 - np.exp(-0.5 * context.frame)) / 0.5
+    np.testing.assert_allclose(run(ending, charge(10), context), 10 + rise)
     source = place(window=(1511, 2015, 1, 1), exposure=Exposure(time_s=2.0))
     glow = AmpGlow(rate_e_per_s=3.0, x0=0.0, y0=0.25, width=0.5)
     np.testing.assert_allclose(run(glow, charge(0, shape=(1, 1)), source), 6 * np.exp(-0.5), rtol=1e-3)  # half px off the middle

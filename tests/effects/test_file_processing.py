@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
+from isetval.core.errors import InputError
 from isetval.core.sensor import Exposure, Sensor
 from isetval.core.signal import Signal
+from isetval.effects.converter import Quantization, RawFiltering
 from isetval.effects.file_processing import (
     BlackClip,
     DigitalGain,
     GainMapApplied,
     LensCorrection,
     LinearizationTable,
-    RawFiltering,
     WrongBlackTag,
 )
 
@@ -60,9 +61,9 @@ def test_smoothing_mixes_pixels_of_one_colour(place):
 def test_smoothing_correlates_noise_two_pixels_apart(place):
     rng, w = np.random.default_rng(2), 0.1
     noise = 500 + 20 * rng.standard_normal((1, 256, 256))
-    d = run(RawFiltering(weight=w), noise, place())[4:-4, 4:-4] - 500
+    d = run(RawFiltering(weight=w, form="before rounding"), noise, place())[4:-4, 4:-4] - 500
     n = d.size
-    assert d.var() == pytest.approx(400 * ((1 - 4 * w) ** 2 + 4 * w * w) + 1 / 12, rel=5 * np.sqrt(2 / n) * 1.5)  # not white
+    assert d.var() == pytest.approx(400 * ((1 - 4 * w) ** 2 + 4 * w * w), rel=5 * np.sqrt(2 / n) * 1.5)  # not white
     expected = 400 * 2 * w * (1 - 4 * w)
     assert (d[:, 2:] * d[:, :-2]).mean() == pytest.approx(expected, abs=5 * d.var() * 1.5 / np.sqrt(n))
     assert abs((d[:, 1:] * d[:, :-1]).mean()) < 5 * d.var() * 1.5 / np.sqrt(n)
@@ -100,3 +101,23 @@ def test_a_part_of_the_pixels_is_a_part_of_the_effect(place):
     out = run(effect, np.full((1, 256, 256), 60.0), place(effect))
     assert (out == 64).mean() == pytest.approx(0.3, abs=5 * np.sqrt(0.3 * 0.7 / out.size))
     np.testing.assert_array_equal(out, run(effect, np.full((1, 256, 256), 60.0), place(effect, frame=4, seed=9)))
+
+
+def test_smoothing_before_the_rounding_takes_the_noise_of_a_code_and_on_whole_codes_hardly(place):
+    """Of sigma .7 DN and weight .04: its variance falls by the kernel's sum of squares, or not, where few move by half a code."""
+    sensor = Sensor(3024, 4032, black_dn=64.0, white_dn=1023.0)
+    context = place(window=(0, 0, 256, 256), sensor=sensor)
+    rng, w = np.random.default_rng(5), 0.04
+    noise = 100 + 0.7 * rng.standard_normal((1, 256, 256))
+
+    def variance(form):
+        return run(Quantization(step_dn=1.0), run(RawFiltering(weight=w, form=form), noise, context)[None], context).var()
+
+    error = 5 * np.sqrt(2 / noise.size) * 1.5
+    assert variance("before rounding") == pytest.approx(0.49 * ((1 - 4 * w) ** 2 + 4 * w * w) + 1 / 12, rel=error)
+    assert variance("whole codes") > 0.97 * (0.49 + 1 / 12)
+
+
+def test_a_form_of_smoothing_that_does_not_exist_is_refused():
+    with pytest.raises(InputError, match="whole codes, before rounding"):
+        RawFiltering(weight=0.1, form="fine")

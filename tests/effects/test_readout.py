@@ -114,6 +114,22 @@ def test_converter_limits_and_steps(place):
     np.testing.assert_allclose(run(Quantization(step_dn=1.0), signal, place(mode="expected"))[0], [0, 0.4, 501.3, 1023])
 
 
+def test_between_two_steps_a_share_of_the_pixels_has_the_larger_one(place):
+    """Noise of 3 DN on a level that is no multiple of 2: variances of 1/12 and 4/12, in proportion; no level moves."""
+    noise = 64.3 + 3 * np.random.default_rng(8).standard_normal((1, 256, 256))
+
+    def rounded(step, values=noise):
+        return run(Quantization(step_dn=step), Signal.of(values, "dn"), place())
+
+    for step, share in ((1.0, 0.0), (1.25, 0.25), (1.5, 0.5), (2.0, 1.0)):
+        error = rounded(step) - noise[0]
+        even = np.mean(np.mod(rounded(step), 2) == 0)
+        assert even == pytest.approx((1 + share) / 2, abs=0.01)
+        assert error.var() == pytest.approx((1 + 3 * share) / 12, rel=0.02)
+        assert error.mean() == pytest.approx(0, abs=0.01)
+    np.testing.assert_array_equal(rounded(16.0037, 30 * noise), rounded(16.0, 30 * noise))  # a scaled file, no bit less
+
+
 def test_uneven_codes_have_uneven_counts_and_both_ends(place):
     ramp = Signal.of(np.linspace(100, 900, N).reshape(1, 256, 256), "dn")
     effect, converter = UnevenCodes(sigma=0.1), Quantization(step_dn=1.0)

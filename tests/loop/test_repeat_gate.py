@@ -1,5 +1,6 @@
 """The gate on repeated set-ups: differences of light that go with an unknown spectrum are none of the error bars' fault."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from isetval.core.toml import data_folder
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.prediction import Base, Point
-from isetval.loop.prepared import repeat_gate
+from isetval.loop.prepared import gate_with, repeat_gate
 from isetval.loop.problem import Problem
 
 CHANNELS, BENDS = ("red", "green", "blue"), np.array([1.0, 0.0, -1.0])
@@ -45,6 +46,10 @@ class ColoredLight:
 
 
 def gate(tilt, apart, noise):
+    return repeat_gate(campaign(tilt, apart, noise))
+
+
+def campaign(tilt, apart, noise):
     model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
     plan = Campaign("p", SHOTS, nuisances=PRIORS)
     camera = ColoredLight(plan)
@@ -64,10 +69,7 @@ def gate(tilt, apart, noise):
     )
     fitted = fit(problem, Point(model), nuisance_parameters(plan, model))
     camera.table.values = measured
-    prepared = SimpleNamespace(
-        problem=problem, model=model, table=camera.table, campaign=plan, fit_nuisances=lambda model: fitted
-    )
-    return repeat_gate(prepared)
+    return SimpleNamespace(problem=problem, model=model, table=camera.table, campaign=plan, fit_nuisances=lambda model: fitted)
 
 
 @pytest.mark.parametrize(("tilt", "apart"), [(0.0, 0.0), (0.04, 0.07), (-0.04, 0.07)])
@@ -86,3 +88,19 @@ def test_a_channel_that_is_not_repeated_fails():
     found = gate(0.0, 0.0, noise)
     assert found["failed"]
     assert found["n"] == 3
+
+
+def test_a_gate_that_fails_with_one_camera_is_asked_with_the_error_bars_of_another():
+    """Captures that scatter twice as far as the nominal camera's, and as far as those of the model that was found."""
+    noise = 2 * SIGMA * np.array([1.7, -1.4, 1.1, -0.9, 1.5, -1.6])
+    prepared = campaign(0.0, 0.0, noise)
+    nominal = repeat_gate(prepared)
+    assert nominal["failed"]
+    found = replace(prepared.problem, covariance=4 * prepared.problem.covariance)
+    fitted = prepared.fit_nuisances(None)
+    gate = gate_with(prepared, nominal, found, fitted)
+    assert not gate["failed"]
+    assert gate["nominal_mean_square_z"] == nominal["mean_square_z"]
+    assert gate_with(prepared, nominal, prepared.problem, fitted) == nominal  # no other model, no second opinion
+    worse = gate_with(prepared, gate | {"failed": True}, prepared.problem, fitted)
+    assert worse["nominal_mean_square_z"] == nominal["mean_square_z"]

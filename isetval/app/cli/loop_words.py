@@ -24,9 +24,11 @@ def gate_line(gate: Mapping[str, Any]) -> str:
         reason = gate.get("reason") or "the campaign declares no repeats (repeat_of); error bars are taken as stated"
         return f"repeat gate: not run, {reason}"
     words = "failed" if gate["failed"] else "passed"
+    nominal = gate.get("nominal_mean_square_z")
+    bars = "" if nominal is None else f", {nominal:.3f} with the error bars of the first model"
     return (
         f"repeat gate: {words}; mean-square z of {gate['n']} repeated metrics {gate['mean_square_z']:.3f} "
-        f"(1 +- {gate['allowed']:.2f} allowed)"
+        f"(1 +- {gate['allowed']:.2f} allowed{bars})"
     )
 
 

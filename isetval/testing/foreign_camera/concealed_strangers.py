@@ -44,7 +44,7 @@ FORMS = (
     _form("spectral_line", "spd_mismatch", {"height": 0.1}, "a line at 611 nm", seen=CHARTS, fixed={"nm": 611.0}),
     _form("curvature_fourth", "field_curvature", {"sag_um": 5.0}, "fourth power of the radius", seen=EDGES),
     _form("dust", "dust", {"loss": 0.008}, "three grains", seen=FIELD, fixed={"points": (2, 6, 9)}),
-    _form("column_group_gain", "alternating_columns", {"share": 0.0008}, "groups of eight", also=("column_fpn",)),
+    _form("column_group_gain", "alternating_columns", {"share": 0.0008}, "groups of eight", power=2, also=("column_fpn",)),
     _form(
         "slow_row_drift", "correlated_row_noise", {"sigma_dn": 0.05}, "AR(1)", seen=DARK, power=2, also=("temporal_row_noise",)
     ),

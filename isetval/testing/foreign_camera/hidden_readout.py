@@ -70,7 +70,7 @@ def digital_gain(codes: Float, camera: Camera, place: Place, rng: Generator, *, 
 def raw_filtering(codes: Float, camera: Camera, place: Place, rng: Generator, *, weight: float) -> Float:
     """Noise reduction along rows and then columns within each colour: (w, 1 - 2 w, w)."""
     for axis in (0, 1):
-        padded = np.pad(codes, [(2, 2) if axis == i else (0, 0) for i in (0, 1)], mode="symmetric")
+        padded = np.pad(codes, [(2, 2) if axis == i else (0, 0) for i in (0, 1)], mode="reflect")  # two away: its own colour
         n = codes.shape[axis]
         low, high = np.take(padded, range(n), axis), np.take(padded, range(4, n + 4), axis)
         codes = (1 - 2 * weight) * codes + weight * (low + high)
