@@ -143,5 +143,5 @@ def smear(charge: Float, camera: Camera, place: Place, rng: Generator, *, share:
 @at("file", "sharpened")
 def sharpened(codes: Float, camera: Camera, place: Place, rng: Generator, *, weight: float) -> Float:
     """A "raw" that has been sharpened along rows within each color: noise of neighbors goes against each other."""
-    padded = np.pad(codes, [(0, 0), (2, 2)], mode="symmetric")
+    padded = np.pad(codes, [(0, 0), (2, 2)], mode="reflect")  # two away: its own color
     return np.asarray((1 + 2 * weight) * codes - weight * (padded[:, :-4] + padded[:, 4:]))
