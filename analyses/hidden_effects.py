@@ -164,11 +164,14 @@ def _sum_up(options):
 
     import isetval
 
-    rows = [(row, judged(row)) for row in _rows(options.rows)]
+    run = _rows(options.rows)
+    empty = [row["id"] for row in run if row["hidden"] and not row.get("changes_bits", True)]
+    rows = [(row, judged(row)) for row in run if row["id"] not in empty]
     if not rows:
         raise SystemExit(f"{options.rows}: no rows yet")
     made = {"isetval": isetval.__version__, "date": datetime.now(UTC).strftime("%Y-%m-%d")}
     made["commits"] = sorted({row.get("commit") or "not known" for row, _ in rows})
+    made["empty"] = empty  # hidden by name, in no bit of any frame: neither a null nor an effect
     found = {**made, **_sets(rows), **summary(rows), "confusions": held_against(rows)}
     causes = json.loads(CAUSES.read_text(encoding="utf-8")) if CAUSES.is_file() else {}
     for wrong in found["wrong"]:
@@ -177,6 +180,8 @@ def _sum_up(options):
     options.report.with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     write_page(found, options.report)
     print("\n".join(table_lines(found)))
+    if empty:
+        print(f"left out, since no frame differs by a bit from one without what is hidden: {', '.join(empty)}")
     for wrong in found["wrong"]:
         print(f"wrong: {wrong['id']} ({wrong['outcome']}): {wrong['why']}")
     print(f"written: {options.report}")

@@ -22,6 +22,7 @@ def write_page(found, path):
         f"{escape(', '.join(found['commits']))}, {found['date']}. Campaigns are shot by a "
         "camera that shares no code with isetval (<code>isetval.testing.foreign_camera</code>); no answer counts as wrong. "
         "Intervals are Wilson's 95 %; green: the share meets its target, amber: only its interval does, red: neither.</p>",
+        _empty(found),
         _targets(found),
         "<h2>Power</h2>", _svg(_power, found), "<h2>Is the stated posterior true?</h2>", _svg(_reliability, found),
         "<h2>Pulls of fitted parameters</h2>", _svg(_pulls, found),
@@ -31,6 +32,15 @@ def write_page(found, path):
     ]  # fmt: skip
     head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Hidden effects</title><style>{STYLE}</style>'
     path.write_text(head + "\n".join(parts) + "</html>\n", encoding="utf-8")
+
+
+def _empty(found):
+    if not found.get("empty"):
+        return ""
+    return (
+        "<p>Left out, since no frame differs by a bit from one without what is hidden (less than half a code in effects that act "
+        f"on whole codes): {escape(', '.join(found['empty']))}.</p>"
+    )
 
 
 def _table(head, rows):

@@ -37,7 +37,7 @@ def run(trial, *, limit_s, folder=None, with_oracle=True):
         row = trial.row() | {"wall_s": round(time.perf_counter() - start, 1)}
         row["cpu_s"] = round(os.times().children_user - before, 1)
         found = json.loads(answer.read_text(encoding="utf-8")) if answer.is_file() else None
-        return row | {"error": error, "answer": found}
+        return row | {"error": error, "answer": found, "changes_bits": not row["hidden"] or changes_bits(row)}
 
 
 def main(words):
@@ -61,6 +61,25 @@ def main(words):
         rows = isetval.compare([model, true], campaign.session("B")).ladder
         out["oracle"] = [vars(row) for row in rows if row.model == "oracle"]
         answer.write_text(json.dumps(out), encoding="utf-8")
+
+
+def changes_bits(row):
+    """Whether any frame of the campaign differs from what the same specimen gives without what is hidden.
+
+    What acts on whole codes and moves none of them by half a code is not there, whatever the law of its strength says.
+    """
+    from isetval.testing.foreign_camera import plan
+    from isetval.testing.foreign_camera.camera_file import nominal_camera
+    from isetval.testing.foreign_camera.campaign import in_setting, lights_of, shoot
+    from isetval.testing.foreign_camera.sensor import specimen_of
+
+    nominal = in_setting(nominal_camera(NOMINAL / "camera.toml", str(NOMINAL / "qe.csv")), row["lens"])
+    lights, priors, seed = lights_of(nominal), plan.priors(row["plan"]), row["seed"]
+    with_it, without = (specimen_of(nominal, seed, hidden) for hidden in (row["hidden"], {}))
+    return any(
+        (shoot(p, with_it, lights, seed, priors=priors)[0] != shoot(p, without, lights, seed, priors=priors)[0]).any()
+        for p in plan.session(nominal, "A", row["plan"])
+    )
 
 
 def _short(content):

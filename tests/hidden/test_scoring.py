@@ -13,6 +13,7 @@ sys.path.insert(0, str(ANALYSES))
 import hidden_effects  # noqa: E402
 from hidden_trials import draw  # noqa: E402
 from hidden_trials.judge import judged  # noqa: E402
+from hidden_trials.run import changes_bits  # noqa: E402
 from hidden_trials.summary import interval, summary, table_lines  # noqa: E402
 
 
@@ -123,3 +124,10 @@ def test_a_run_is_taken_up_where_it_stopped(tmp_path, capsys):
     assert hidden_effects.main(["--table", "--report", str(tmp_path / "page.html")]) == 0
     assert "nulls answered" in capsys.readouterr().out
     assert "Every wrong answer" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize(("log", "changes"), [(0.0023, False), (0.02, True)])
+def test_a_campaign_without_a_changed_bit_is_known_as_such(log, changes):
+    """A converter table that moves no code by a half, and one that moves some by two."""
+    row = {"plan": "small", "lens": "open", "seed": 3, "hidden": {"linearization_table": {"log": log}}}
+    assert changes_bits(row) is changes
