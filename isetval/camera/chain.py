@@ -20,7 +20,7 @@ from isetval.core.campaign import Light, Shot
 from isetval.core.context import TILE_ROWS, Context, Mode
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
-from isetval.core.scene import RenderedTarget, Scene
+from isetval.core.scene import ChartTarget, RenderedTarget, Scene
 from isetval.core.sensor import Roi, Sensor
 from isetval.core.signal import Signal
 from isetval.scenes.planar import build_scene, mean_radiance, planar_radiance
@@ -31,6 +31,7 @@ Float = NDArray[np.float64]
 FRONT = ("scene", "optics", "pixel")
 FIELD_PX = 32  # pixels along the longer side of the coarse full field: a mean of r^2 over it errs by 1/(12 FIELD_PX^2), 1e-4
 BAND_BUDGET = 6_000_000  # spectral samples held at once: 48 MB, a strip of 20 rows of a 12 MP sensor at 73 bands
+PICTURE_STRIPS = 4  # times that for charts, whose pictures are few: strips of 90 rows had 192 of halo, which is blurred with them
 LEAK_SHARE = 0.05  # of a light's maximum: below it lies what a band-pass filter leaks
 NARROW_SHARE = 0.25  # of the bands: light that fills more is no narrow band
 CACHE_BYTES = 600_000_000  # six full 12 MP frames, or all windows of a laboratory's plan at twenty points of a fit
@@ -157,7 +158,8 @@ def _front(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, how: Re
     out = np.zeros((rows, cols))
     for roi in setup.parts((rows, cols)):
         width = roi.col1 - roi.col0
-        step = max(1, min(rows, BAND_BUDGET // (width * model.wavelength_nm.size)))
+        budget = BAND_BUDGET * (PICTURE_STRIPS if isinstance(setup.shot.target, ChartTarget) else 1)
+        step = max(1, min(rows, budget // (width * model.wavelength_nm.size)))
         if isinstance(setup.shot.target, RenderedTarget):
             step = rows
         for top in range(roi.row0, roi.row1, step):

@@ -21,6 +21,7 @@ from isetval.loop.fit import far_values
 from isetval.loop.forms import in_best_form
 from isetval.loop.investigation import (
     BENDS,
+    CLEAR,
     Investigation,
     ask_holdout,
     fitted_jointly,
@@ -41,7 +42,6 @@ Float = NDArray[np.float64]
 ODDS = 19.0  # 95 %: what a name needs against the same without it
 FORMS_TRIED = 2  # of a class at one base: four periods of alternating columns left no room for another effect
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
-CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked where any two that may stand are closer
 BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
 # Z grows with the logarithm of chi2 only and cannot be asked (a black level of 140 sigma left 3 % of a chi2 of 20,000)
 LOST = 10.0  # mean square of what is left over: error bars three times too small, which no laboratory's are

@@ -15,7 +15,7 @@ from isetval.loop.code_stair import CODES, on_lowest_step
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
-from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
+from isetval.loop.gaussian import hessian, orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
@@ -109,6 +109,7 @@ def refit(
     promised: float | None = None,
     *,
     iterations: int = MAX_ITERATIONS,
+    beaten: float = -np.inf,
 ) -> Hypothesis:
     """Fit the parameters of ``members`` together with everything that the laboratory does not know.
 
@@ -124,12 +125,16 @@ def refit(
         ln Z that the linear model promises; where the fit finds less than half of its gain over ``near``, it stands.
     iterations : int
         Steps of the fit at most; with 0 the hypothesis is linearised where it starts.
+    beaten : float
+        ln Z that is of use: below it a fit is not refined.
     """
     free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
     point = _starting_point(nominal, near.fitted.point.values, free, members, start)
     focus = [f for f in free if f.focus]
     point = at_same_focus(problem, point, focus_shifts(problem, near.fitted.point.model, focus), focus)
-    fitted = fitted_members(problem, members, point, free, pose=near.fitted.pose, iterations=iterations)
+    # a fit of one cost and another have evidences apart by half of what their costs are; more that is free only takes from that
+    enough = near.fitted.cost - 2 * (beaten - near.log_evidence)
+    fitted = fitted_members(problem, members, point, free, pose=near.fitted.pose, iterations=iterations, beaten=enough)
     found = hypothesis(problem, members, fitted, rough=not iterations)
     gain = found.log_evidence - near.log_evidence
     if promised is None or gain > WORTH * (promised - near.log_evidence):
@@ -146,6 +151,7 @@ def fitted_members(
     *,
     pose: Mapping[str, float],
     iterations: int = MAX_ITERATIONS,
+    beaten: float = np.inf,
 ) -> Fit:
     """A fit of everything free from a pose, in long enough steps, on the lowest stair where members round whole codes anew.
 
@@ -154,6 +160,8 @@ def fitted_members(
     """
     stated = any(isinstance(m, Candidate) and m.draws_noise for m in members)
     fitted = fit(problem, start, free, pose=pose, iterations=iterations, stated=stated)
+    if fitted.cost > beaten and not stated:
+        return fitted
     for turn in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted, members)
         anew = turn < 2 and _is_imitated(fitted)
@@ -169,8 +177,12 @@ def fitted_members(
 
 
 def _is_imitated(fitted: Fit) -> bool:
-    """Whether all else that is free can do nearly what an effect does: remembered derivatives, 3 % off, would tell them apart."""
-    size = np.linalg.norm(fitted.jacobian, axis=0) * np.sqrt(np.diag(fitted.covariance))
+    """Whether all else that is free can do nearly what an effect does: remembered derivatives, 3 % off, would tell them apart.
+
+    With the scales of the fit: of contrasts 30 times as uncertain as stated, no turn of an edge does what a blur does.
+    """
+    rows = fitted.weight[:, None] * fitted.jacobian
+    size = np.linalg.norm(rows, axis=0) * np.sqrt(np.diag(np.linalg.pinv(hessian(rows, fitted.free))))
     return any(not f.is_nuisance and s > IMITATED for f, s in zip(fitted.free, size, strict=True))
 
 

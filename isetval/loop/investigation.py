@@ -45,6 +45,7 @@ WIDER_ROWS = (
     1.5  # scale of a family beyond which its error bars are not those of the hypothesis: 2.5 of the 20 % they are known to
 )
 SAME_WEIGHTS = 0.1  # of an effect, by which its error bars move by 10 % at most, which is as well as they are known (`SCALE_DOF`)
+CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked where any two that may stand are closer
 Say = Callable[[str], None]
 
 
@@ -201,7 +202,9 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
     steps = _steps(members, values, sigma)
     drawn = any(isinstance(m, Candidate) and m.effect.rare and m.name not in reference.names for m in members)
     promised = weighed.log_evidence if weighed is not None and drawn else None
-    found = refit(case.problem, case.prepared.model, reference, members, values, steps, promised)
+    best = max(h.log_evidence + case.log_prior(h.members) for h in case.known.values())
+    beaten = best - CLEAR - case.log_prior(members) if promised is None else -np.inf
+    found = refit(case.problem, case.prepared.model, reference, members, values, steps, promised, beaten=beaten)
     if any(m.draws_noise for m in found.effects if m.name not in case.standing.names) and found.weighed.scales.max() > WIDER_ROWS:
         found = _at_its_own_weights(case, found)
     case.known[names] = found

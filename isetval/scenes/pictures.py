@@ -116,7 +116,10 @@ class SpectralPicture:
         if key not in _LABELLED:
             u, s, vt = np.linalg.svd(spectra, full_matrices=False)
             rank = max(1, int(np.sum(s > TOLERANCE * s[0])))
-            keep(_LABELLED, key, cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo))
+            made = cls(u[:, :rank] * s[:rank], vt[:rank].astype(np.float32)[:, label], halo)
+            made.__dict__["digest"] = key  # tens of megabytes were made from what it is the digest of
+            keep(_LABELLED, key, made)
+        _LABELLED.move_to_end(key)
         return _LABELLED[key]
 
     @property
@@ -231,7 +234,7 @@ class SpectralPicture:
                 place = np.exp(1j * np.pi * (1 - 1 / s) * (fx + fy)) / (np.sinc(fx / s) * np.sinc(fy / s))
             wider = [(0, n - m) for n, m in zip(self._size, self.parts.shape[1:], strict=True)]
             every = [fft.rfft2(np.pad(part.astype(float), wider, mode="edge")) * place for part in self.parts]
-            keep(_TRANSFORMS, self.digest, np.array(every))
+            keep(_TRANSFORMS, self.digest, np.array(every, np.complex64))  # 1e-7, of which pictures are kept to 1e-4
         _TRANSFORMS.move_to_end(self.digest)
         return _TRANSFORMS[self.digest]
 

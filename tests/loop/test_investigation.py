@@ -120,6 +120,23 @@ def test_the_true_pair_replaces_the_effect_that_answered_for_both(case):
     assert better.fitted.chi2 < 5
 
 
+def test_a_fit_that_is_beaten_is_not_refined():
+    """A black level that would take both rows is fitted once beside a dark current that explains 60 sigmas of one."""
+
+    def fitted(*known):
+        case = case_of(60.0 * np.eye(ROWS)[0])
+        for name in known:
+            fitted_jointly(case, frozenset({name}))
+        made, camera = [], case.problem.predictor
+        vectors = camera.derivative_vectors
+        camera.derivative_vectors = lambda points, *rest, **more: made.extend(points) or vectors(points, *rest, **more)
+        return fitted_jointly(case, frozenset({"black_level"})).fitted.values, len(made)
+
+    (alone, whole), (beside, once) = fitted(), fitted("dark_current")
+    assert once < whole
+    assert beside == pytest.approx(alone, rel=1e-6)  # linear: one fit is the end
+
+
 def test_the_true_pair_stays(case):
     stand(case, "dark_current", "temporal_row_noise")
     assert _better(case, quiet, {case.standing.names}, first=False) is None
