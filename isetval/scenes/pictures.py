@@ -116,7 +116,7 @@ class SpectralPicture:
         if key not in _LABELLED:
             u, s, vt = np.linalg.svd(spectra, full_matrices=False)
             rank = max(1, int(np.sum(s > TOLERANCE * s[0])))
-            made = cls(u[:, :rank] * s[:rank], vt[:rank].astype(np.float32)[:, label], halo)
+            made = cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo)
             made.__dict__["digest"] = key  # tens of megabytes were made from what it is the digest of
             keep(_LABELLED, key, made)
         _LABELLED.move_to_end(key)
