@@ -19,6 +19,9 @@ STRONG = 80.0  # sigmas of a secant beyond which it is taken again closer to the
 WANTED = 50.0  # sigmas of the new secant: far above the noise of common random numbers, well inside the linear range
 BEYOND = 1000.0  # prior widths between a null and anything that a plan could reach
 ONSET = 0.01  # of a value, to which the place where an effect begins to show is found: well within its prior's width
+DETECTED = 5.0  # sigmas within the prior's width below which an effect would hardly be named
+FARTHER = (2.0, 4.0)  # prior widths: four are met once in 16,000
+ONSETS = 0.5  # a bend that is no threshold leaves at least half the slope: a square root of a strength twice as far gives .7
 SHORTENED = 3  # times that small shots are asked: twice as all shots are, and once whether anything is left to see
 
 
@@ -53,6 +56,7 @@ def signatures(
     _shorten_by_small_shots(problem, point, wanted, steps, project)
     columns = _secants(problem, point, wanted, steps)
     _other_side(problem, point, wanted, steps, columns)
+    _past_the_onset(problem, point, wanted, steps, columns)
     wanted = _where_it_shows(problem, point, wanted, steps, columns)
     for _ in range(2):
         again, before = [], (list(steps), list(columns))
@@ -64,11 +68,20 @@ def signatures(
         if not again:
             break
         for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
-            seen = column.any()  # a clip shows nothing in a step that ends above the brightest level: the longer one stays
+            seen = _still_shows(problem.whitened(column), problem.whitened(before[1][i]))
             columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
     wanted = [replace(c, code_steps=_code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     columns = _through_focus(problem, point, wanted, steps, columns, focus)
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
+
+
+def _still_shows(shorter: Float, longer: Float) -> bool:
+    """Whether a shorter step shows per unit what a longer one does, at least `ONSETS` of it, in whitened columns.
+
+    What bends shows more per unit near its null.  What begins at a threshold (a clip below the brightest level) shows nothing
+    of what it does beyond, or the tail of the noise only: there the longer step stays.
+    """
+    return bool(np.any(np.linalg.norm(shorter, axis=0) > ONSETS * np.linalg.norm(longer, axis=0)))
 
 
 def _closer(candidate: Candidate, steps: Float, length: Float) -> Float:
@@ -98,14 +111,17 @@ def _shorten_by_small_shots(
         return np.asarray(np.sqrt(np.maximum(np.sum(white**2, axis=0) - np.sum(along * (bend @ along), axis=0), 0.0)))
 
     todo, before = list(range(len(wanted))), list(steps)
+    longer: dict[int, Float] = {}
     for _ in range(SHORTENED):
         columns = _secants(problem, point, [wanted[i] for i in todo], [steps[i] for i in todo], only=small)
         again = []
         for i, column in zip(todo, columns, strict=True):
-            lengths = length(problem.whitened(column * steps[i])[shots])
-            if not column.any():  # a clip shows nothing in a step that ends above the brightest level
+            white = problem.whitened(column)[shots]
+            lengths = length(white * steps[i])
+            if not (_still_shows(white, longer[i]) if i in longer else column.any()):
                 steps[i] = before[i]
             elif np.any(lengths > STRONG):
+                longer[i] = white
                 before[i], steps[i] = steps[i], _closer(wanted[i], steps[i], lengths)
                 again.append(i)
         todo = again
@@ -140,6 +156,31 @@ def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], ste
             again.append(i)
     for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
         columns[i] = column
+
+
+def _past_the_onset(
+    problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]
+) -> None:
+    """What begins beyond its prior's width, and shows less than `DETECTED` within it, steps farther, in place.
+
+    A pixel that is said to be full at 6000 electrons, and is at 4800, shows in a step of 500 nothing but the noise's tail of a
+    flat of 5000.  Twice or four times the width is within what priors allow; the slope there has to be larger.
+    """
+    for i, c in enumerate(wanted):
+        slope = float(np.linalg.norm(problem.whitened(columns[i])))
+        if len(c.parameters) > 1 or not (c.present or slope) or slope * c.tau[0] > DETECTED:
+            continue
+        (p,) = c.parameters
+        for times in FARTHER:
+            step = times * float(np.sign(steps[i][0])) * c.tau
+            if not p.low < c.nominal[0] + step[0] < p.high:
+                break
+            (column,) = _secants(problem, point, [c], [step])
+            if np.linalg.norm(problem.whitened(column)) * c.tau[0] > DETECTED and not _still_shows(
+                problem.whitened(columns[i]), problem.whitened(column)
+            ):
+                columns[i], steps[i] = column, step
+                break
 
 
 def _where_it_shows(

@@ -85,3 +85,24 @@ def test_a_plateau_is_named_with_its_charge(made):
     # two levels lie above the well
     assert sigma == pytest.approx(SIGMA_E / np.sqrt(2), rel=0.05)
     assert well == pytest.approx(WELL_E, abs=3 * sigma)
+
+
+def test_a_well_that_is_stated_far_too_deep_is_found_beyond_its_prior(monkeypatch):
+    """Stated 6000 +- 500 e-, truly 4600: levels of 5000 show nothing of it until the step is four widths long."""
+    levels = np.array([500.0, 1500, 3000, 4000, 4800, 5000])
+    monkeypatch.setattr(__name__ + ".LEVELS_E", levels)
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    assert model.value("full_well.well_e") == 6000
+    rows = levels.size
+    measured = np.minimum(levels, 4600.0) + SIGMA_E * np.random.default_rng(3).standard_normal(rows)
+    base = Base(levels, SIGMA_E**2 * np.eye(rows), np.zeros((16, rows)), np.ones(rows))
+    camera = PlateauCamera(Campaign("plan", ()))
+    problem = Problem(
+        camera, Point(model), base, measured, np.arange(rows), np.eye(rows) / SIGMA_E, levels, base.covariance
+    )  # fmt: skip
+    wanted = [c for c in candidates_for(model) if c.name == "full_well"]
+    (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((rows, 0)))
+    assert list(signature.steps) == [-2000.0]
+    found = score(make_frame(fit(problem, problem.origin, ())), problem.whitened(signature.columns))
+    assert found.p_value < 1e-6
+    assert found.sigma[0] < signature.candidate.tau[0]  # it counts as observable
