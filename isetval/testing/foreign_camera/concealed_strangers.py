@@ -66,7 +66,7 @@ OUTSIDERS = (
     _outsider("settling_rows", {"share": 0.001}, OWN, also=("amplifier_crosstalk",)),
     _outsider("missing_codes", {"every": 8}, OWN, seen=DARK, scaled=False),
     _outsider("faded_patch", {"loss": 0.006}, OWN, seen=CHARTS, fixed={"patch": "orange"}),
-    _outsider("row_group_gain", {"share": 0.001}, OWN),
+    _outsider("row_group_gain", {"share": 0.001}, OWN, power=2),
     _outsider("smear", {"share": 0.002}, OWN),
     _outsider("sharpened", {"weight": 0.04}, OWN, also=("raw_filtering",)),
 )
