@@ -4,8 +4,9 @@
 # Question: shown frames of a camera in which one constant is hidden to be wrong, does calibrating one named parameter at a
 # time (Pyxel, the European Space Agency's detector simulator) and taking the one with the best fitness name it?
 # Data: a dark and five flats of one exposure time, shot by another camera (`isetval.testing.foreign_camera`) with one of its
-# constants at four times the size of practice.  `isetval.diagnose` gets all frames; Pyxel, whose detector is
-# monochrome, the Gr pixels of one frame of each level, with the nominal constants and the mean electrons told.
+# constants at four times the size of practice (the full well at that of practice).  `isetval.diagnose` gets all frames;
+# Pyxel, whose detector is monochrome, the Gr pixels of one frame of each level, with the nominal constants and the mean
+# electrons told.
 # Result: one row per hidden effect: what each names, and the value of the right parameter in each.
 # Run time: about 20 s of CPU per hidden effect and parameter (six by six), of which 4 are Pyxel's start.
 #
@@ -32,7 +33,7 @@ from isetval.testing.foreign_camera.sensor import specimen_of
 HERE = Path(__file__).resolve().parent
 NOMINAL = HERE.parent / "data" / "pixel4a"
 SIZE, FRAMES, STRENGTH, SEED = 80, 8, 4.0, 5
-LEVELS = (0.004, 0.01, 0.02, 0.035, 0.05)  # of a white in the plan's light: 400 to 4500 e- in a second
+LEVELS = (0.004, 0.01, 0.02, 0.035, 0.058)  # of a white in the plan's light: 360 to 5200 e- in a second
 PIXEL_UM, CHARGE_E, VOLT_PER_DN = 1.4, 1.602176634e-19, 1e-3
 # Pyxel's parameters: key, the nominal value of a camera in its units, and the range searched around it.  Its converter cuts off
 # where the camera rounds: half a code is added to the black level.
@@ -84,7 +85,7 @@ def trial(name, options):
     """What Pyxel and isetval say of frames with one constant hidden."""
     concealed = next(c for c in EFFECTS if c.key == name)
     nominal = nominal_camera(NOMINAL / "camera.toml", str(NOMINAL / "qe.csv"))
-    parameters = concealed.parameters(STRENGTH, nominal)
+    parameters = concealed.parameters(STRENGTH if concealed.scaled else 1.0, nominal)
     camera = specimen_of(nominal, SEED, {name: parameters})
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)

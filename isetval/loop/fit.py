@@ -17,6 +17,8 @@ from isetval.loop.problem import Problem
 
 Float = NDArray[np.float64]
 MAX_ITERATIONS = 20  # Gauss-Newton steps: a bound on cost; a fit that ends there says that it has not converged
+ALIKE = 2.0  # mean square of what is left up to which the stated error bars stand: beyond it a family of a tenth of the rows
+# scatters three times as far as it says
 MAX_FAILURES = 2  # steps in a row that help no more than rounding may: a third would be below the fit's own noise
 RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
@@ -115,9 +117,14 @@ def fit(
 
     Rows of a metric family have variance lambda_f, as in the sum that weighs what was fitted (`isetval.loop.subset_sum`): what
     is made least is -2 ln of that posterior, the scales at their best.  Contrasts 40 sigmas off by a blur that the model lacks
-    turn no pose by 15 prior sigmas.
+    turn no pose by 15 prior sigmas.  Such a posterior has many bottoms: from far away, where all families look wrong, none
+    pulls.  So error bars count as stated first, and have scales only where that fit leaves more than `ALIKE`.
     """
     free = tuple(free)
+    if not stated and iterations:
+        first = fit(problem, start, free, pose=pose, iterations=iterations, stated=True)
+        if first.chi2 < ALIKE * problem.keep.size:
+            return first
     state = FitState.at(problem, start, free, pose or {}, replace(problem.families, dof=np.inf) if stated else problem.families)
     matrix = jacobian(problem, state.posed(start, free), free)
     radius, failures = RADIUS, 0
