@@ -261,8 +261,10 @@ def _color_columns(problem: Problem, priors: Sequence[Nuisance]) -> list[Float]:
     Temporal noise at a level is that of the patches of about this level: it goes as far as one color that is off moves it, of
     which a step as long as the prior is wide tells more than rounding does.
     """
+    if not priors:
+        return []
     shots = {shot.name: shot for shot in problem.predictor.shots}
-    slope = _light_slope(problem, max(prior.sigma for prior in priors)) if priors else np.zeros(0)
+    slope = _light_slope(problem, max(prior.sigma for prior in priors))
     columns: dict[tuple[int, str | None, str, str], Float] = {}
     for i, m in enumerate(problem.predictor.table.metrics):
         seen = m.patch or (m.region if m.name == "uniform_patch_noise" else "")
