@@ -33,7 +33,7 @@ class Families:
 
     def squares(self, z: Float) -> Float:
         """Sums of squares of residuals (rows,) by family."""
-        return np.bincount(self.place, z**2, self.counts.size)
+        return np.asarray(np.bincount(self.place, z**2, self.counts.size), dtype=np.float64)
 
     def scales(self, z: Float) -> Float:
         """The most probable scales (families,) for residuals (rows,): dof/lambda ~ chi2(dof) beforehand."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
 from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, jacobian
+from isetval.loop.family_scales import Families
 from isetval.loop.fit_state import FitState, is_closer, next_step
 from isetval.loop.gaussian import hessian
 from isetval.loop.prediction import Point
@@ -120,12 +121,22 @@ def fit(
     turn no pose by 15 prior sigmas.  Such a posterior has many bottoms: from far away, where all families look wrong, none
     pulls.  So error bars count as stated first, and have scales only where that fit leaves more than `ALIKE`.
     """
-    free = tuple(free)
-    if not stated and iterations:
-        first = fit(problem, start, free, pose=pose, iterations=iterations, stated=True)
-        if first.chi2 < ALIKE * problem.keep.size:
+    free, families = tuple(free), problem.families
+    if stated or iterations:
+        first = _descended(problem, start, free, pose or {}, iterations, replace(families, dof=np.inf))
+        if stated:
             return first
-    state = FitState.at(problem, start, free, pose or {}, replace(problem.families, dof=np.inf) if stated else problem.families)
+        if first.chi2 < ALIKE * problem.keep.size:
+            pulls = first.chi2 - float(first.z @ first.z)
+            return replace(first, cost=families.cost(first.z) + pulls, weight=families.weight(first.z))
+    return _descended(problem, start, free, pose or {}, iterations, families)
+
+
+def _descended(
+    problem: Problem, start: Point, free: tuple[Parameter, ...], pose: Mapping[str, float], iterations: int, families: Families
+) -> Fit:
+    """Where Gauss-Newton steps end that make the cost least which error bars of these families have."""
+    state = FitState.at(problem, start, free, pose, families)
     matrix = jacobian(problem, state.posed(start, free), free)
     radius, failures = RADIUS, 0
     converged = state.is_close(matrix)

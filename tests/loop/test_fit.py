@@ -11,6 +11,7 @@ from isetval.camera.model_file import load_model
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
 from isetval.loop.derivatives import difference_of_both, jacobian
+from isetval.loop.family_scales import SCALE_DOF
 from isetval.loop.fit import far_values, fit, moved_far
 from isetval.loop.fit_state import walked
 from isetval.loop.prediction import Base, Point
@@ -180,6 +181,19 @@ def test_a_fit_ends_where_rounding_hides_what_a_step_promises(focus, most):
     assert rounded.predictor.calls < most
     assert found.converged
     assert found.value(FOCUS)[0] == pytest.approx(focus, abs=0.02)
+
+
+def test_costs_of_fits_that_ended_with_and_without_scales_can_be_compared():
+    """One posterior for both, -2 ln with the families' scales at their best; a caller that asks for stated bars gets chi2."""
+    near = problem(1.0, 0.4)
+    found, stated = (fit(near, Point(SimpleNamespace()), FREE, stated=own) for own in (False, True))
+    assert found.chi2 < 2 * near.keep.size  # no second fit
+    pulls = found.chi2 - found.z @ found.z
+    scale = (SCALE_DOF + found.z @ found.z) / (SCALE_DOF + found.z.size)
+    assert found.cost == pytest.approx((SCALE_DOF + found.z.size) * np.log(scale) + found.z.size + pulls)
+    assert found.cost != pytest.approx(found.chi2, rel=1e-3)
+    np.testing.assert_allclose(found.weight, 1 / np.sqrt(scale))
+    assert stated.cost == stated.chi2
 
 
 def test_a_nuisance_near_the_pose_is_led_there_by_its_derivatives():
