@@ -179,6 +179,11 @@ class Effect:
             if not info.low <= value <= info.high:
                 unit = "" if info.unit == "1" else f" {info.unit}"
                 raise InputError(f"effect {self.name}: {info.name} is {value:g}{unit}; it needs {info.low:g} to {info.high:g}")
+        for name, value in self._words():
+            if value not in self.forms[name]:
+                raise InputError(
+                    f"effect {self.name}: {name} is {value!r}; it needs one of {', '.join(map(str, self.forms[name]))}"
+                )
 
     @classmethod
     def parameters(cls) -> tuple[ParameterInfo, ...]:
@@ -208,8 +213,12 @@ class Effect:
 
     @cached_property
     def _numbers(self) -> tuple[Any, ...]:
-        """Name and values: asked for a hundred thousand times in a diagnosis."""
-        return (self.name, *self.values().items())
+        """Name, values and named forms: asked for a hundred thousand times in a diagnosis."""
+        return (self.name, *self.values().items(), *self._words())
+
+    def _words(self) -> tuple[tuple[str, Any], ...]:
+        """Fields whose forms have names, and what they are."""
+        return tuple((name, getattr(self, name)) for name, known in self.forms.items() if isinstance(known[0], str))
 
     def changed(self: EffectType, **values: Any) -> EffectType:
         """The effect with other parameter values."""

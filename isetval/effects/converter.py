@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, parameter
-from isetval.core.errors import InputError
 from isetval.core.sensor import black_at
 from isetval.core.signal import Signal
 
@@ -176,22 +175,14 @@ class RawFiltering(Effect):
     weight: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.02, doc="weight w of each neighbour")
     form: str = FILTER_FORMS[0]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.form not in FILTER_FORMS:
-            raise InputError(f"effect raw_filtering: form is {self.form!r}; it needs one of {', '.join(FILTER_FORMS)}")
-
-    def content(self) -> tuple[Any, ...]:
-        """The weight and the form."""
-        return (*super().content(), self.form)
-
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Smooth each colour plane; at the border the pixel stands in for its missing neighbour."""
         if not self.weight:
             return signal
         step = 1 if context.sensor.cfa == "MONO" else 2
         values = np.clip(signal.values, 0, context.sensor.white_dn)
-        if self.form == "whole codes" and context.mode != "expected":
+        rounds = self.form == "whole codes" and context.mode != "expected"
+        if rounds:
             np.rint(values, out=values)
         old = values.copy()
         for axis in (1, 2):
@@ -200,7 +191,7 @@ class RawFiltering(Effect):
             flow = self.weight * (old[tuple(high)] - old[tuple(low)])
             values[tuple(low)] += flow
             values[tuple(high)] -= flow
-        return signal.with_values(values)
+        return signal.with_values(np.rint(values) if rounds else values)
 
 
 @dataclass(frozen=True, kw_only=True)

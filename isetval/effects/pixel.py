@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,15 +175,6 @@ class PixelAngularResponse(Effect):
     m_blue: float = parameter(0.0, unit="1", low=0.0, high=0.99, tau=0.1, doc="loss of blue at 30 degrees")
     shift_deg: float = parameter(0.0, unit="deg", low=-60.0, high=60.0, tau=15.0, doc="added to the angle at the corner, by r")
     form: str = "gaussian"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.form not in FORMS:
-            raise InputError(f"effect pixel_angular_response: form is {self.form!r}; it needs one of {', '.join(FORMS)}")
-
-    def content(self) -> tuple[Any, ...]:
-        """The parameters and the form."""
-        return (*super().content(), self.form)
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale each colour channel; InputError where no lens stated its chief rays."""

@@ -115,6 +115,8 @@ def test_smoothing_before_the_rounding_takes_the_noise_of_a_code_and_on_whole_co
 
     error = 5 * np.sqrt(2 / noise.size) * 1.5
     assert variance("before rounding") == pytest.approx(0.49 * ((1 - 4 * w) ** 2 + 4 * w * w) + 1 / 12, rel=error)
+    smoothed = run(RawFiltering(weight=w), noise, context)
+    np.testing.assert_array_equal(smoothed, np.rint(smoothed))  # behind the converter, too, it leaves codes
     assert variance("whole codes") > 0.97 * (0.49 + 1 / 12)
 
 
