@@ -166,21 +166,32 @@ def _past_the_onset(
     A pixel that is said to be full at 6000 electrons, and is at 4800, shows in a step of 500 nothing but the noise's tail of a
     flat of 5000.  Twice or four times the width is within what priors allow; the slope there has to be larger.
     """
-    for i, c in enumerate(wanted):
-        slope = float(np.linalg.norm(problem.whitened(columns[i])))
-        if len(c.parameters) > 1 or not (c.present or slope) or slope * c.tau[0] > DETECTED:
-            continue
-        (p,) = c.parameters
-        for times in FARTHER:
-            step = times * float(np.sign(steps[i][0])) * c.tau
-            if not p.low < c.nominal[0] + step[0] < p.high:
-                break
-            (column,) = _secants(problem, point, [c], [step])
-            if np.linalg.norm(problem.whitened(column)) * c.tau[0] > DETECTED and not _still_shows(
-                problem.whitened(columns[i]), problem.whitened(column)
-            ):
-                columns[i], steps[i] = column, step
-                break
+    todo = [
+        i
+        for i, c in enumerate(wanted)
+        if len(c.parameters) == 1 and (c.present or columns[i].any()) and _shown(problem, c, columns[i]) <= DETECTED
+    ]
+    for times in FARTHER:
+        ways = {i: times * np.sign(steps[i]) * wanted[i].tau for i in todo}
+        ways = {i: way for i, way in ways.items() if _is_within(wanted[i], way)}
+        found = _secants(problem, point, [wanted[i] for i in ways], list(ways.values()))
+        todo = []
+        for (i, way), column in zip(ways.items(), found, strict=True):
+            steeper = not _still_shows(problem.whitened(columns[i]), problem.whitened(column))
+            if steeper and _shown(problem, wanted[i], column) > DETECTED:
+                columns[i], steps[i] = column, way
+            else:
+                todo.append(i)
+
+
+def _shown(problem: Problem, candidate: Candidate, column: Float) -> float:
+    """Sigmas that the prior's width of a single parameter makes, by a secant per unit (metrics, 1)."""
+    return float(np.linalg.norm(problem.whitened(column)) * candidate.tau[0])
+
+
+def _is_within(candidate: Candidate, step: Float) -> bool:
+    (p,) = candidate.parameters
+    return bool(p.low < candidate.nominal[0] + step[0] < p.high)
 
 
 def _where_it_shows(
