@@ -99,7 +99,8 @@ class SpectralPicture:
     ``spectra`` is (bands, parts) and ``parts`` (parts, rows, cols), ``subsample`` times finer than the pixels and with a
     margin of ``halo`` pixels: the picture is their product.  ``averaged`` says that a sample is the mean over its cell and
     not the value at its middle.  Blur is a product in the Fourier domain; the transfer function is taken at the few
-    wavelengths of `transfer_nodes` within the band of each part.  The last pictures are kept, by their content and by
+    wavelengths of `transfer_nodes` within the band of each part.  ``made_from`` is the digest of what it was made from, where
+    that is known.  The last pictures are kept, by their content and by
     samples of the transfer function: effects that do not blur cost nothing.
     """
 
@@ -108,6 +109,7 @@ class SpectralPicture:
     halo: int
     subsample: int = 1
     averaged: bool = False
+    made_from: str = ""
 
     @classmethod
     def of_labels(cls, label: NDArray[np.intp], spectra: Float, halo: int) -> SpectralPicture:
@@ -116,9 +118,7 @@ class SpectralPicture:
         if key not in _LABELLED:
             u, s, vt = np.linalg.svd(spectra, full_matrices=False)
             rank = max(1, int(np.sum(s > TOLERANCE * s[0])))
-            made = cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo)
-            made.__dict__["digest"] = key  # tens of megabytes were made from what it is the digest of
-            keep(_LABELLED, key, made)
+            keep(_LABELLED, key, cls(u[:, :rank] * s[:rank], vt[:rank][:, label], halo, made_from=key))
         _LABELLED.move_to_end(key)
         return _LABELLED[key]
 
@@ -129,8 +129,8 @@ class SpectralPicture:
 
     @cached_property
     def digest(self) -> str:
-        """Of the parts: computed once, they are tens of megabytes."""
-        return content_hash((self.parts, self.halo, self.subsample, self.averaged))
+        """Of what it was made from, or of the parts: computed once, they are tens of megabytes."""
+        return self.made_from or content_hash((self.parts, self.halo, self.subsample, self.averaged))
 
     @property
     def shape(self) -> tuple[int, int]:
