@@ -11,6 +11,7 @@
 # Run time: about 20 s of CPU per hidden effect and parameter (six by six), of which 4 are Pyxel's start.
 #
 #     python analyses/peer_pyxel.py --pyxel /path/to/python/with/pyxel-sim/and/pygmo -o reports/peer_pyxel.json
+#     python analyses/peer_pyxel.py --table reports/peer_pyxel.json
 
 # %%
 from __future__ import annotations
@@ -66,12 +67,18 @@ FREED = {
 def main(words=None):
     """Run the trials that the command line asks for and print the table."""
     parser = argparse.ArgumentParser(description="Pyxel's calibration and isetval.diagnose on the same frames.")
-    parser.add_argument("--pyxel", required=True, help="Python in which pyxel-sim and pygmo are installed")
+    parser.add_argument("--pyxel", help="Python in which pyxel-sim and pygmo are installed")
+    parser.add_argument("--table", type=Path, help="no trials: print the table of a JSON file that was written before")
     parser.add_argument("--generations", type=int, default=12, help="of Pyxel's search (default: %(default)s)")
     parser.add_argument("--population", type=int, default=12, help="of Pyxel's search (default: %(default)s)")
     parser.add_argument("--names", default=",".join(FREED), help="what is hidden (default: %(default)s)")
     parser.add_argument("-o", "--output", type=Path, help="JSON file")
     options = parser.parse_args(words)
+    if options.table:
+        print("\n".join(table(json.loads(options.table.read_text(encoding="utf-8"))["rows"])))
+        return
+    if not options.pyxel:
+        parser.error("name the Python that runs Pyxel with --pyxel, or a written file with --table")
     rows = [trial(name, options) for name in options.names.split(",")]
     print("\n".join(table(rows)))
     if options.output:

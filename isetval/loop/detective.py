@@ -110,6 +110,8 @@ def diagnose(
         try:
             prepared = stack.enter_context(prepare(model, used, jobs=jobs, say=watch))
             gate = repeat_gate(prepared)
+            if gate["failed"]:
+                watch("repeated set-ups do not agree within the nominal camera's error bars; what is found will be asked too")
             held = stack.enter_context(prepare(model, other, jobs=jobs, say=watch)) if other is not None else ready
             case = _open_case(prepared, model, watch, held)
         except TimeUp:
