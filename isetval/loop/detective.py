@@ -44,8 +44,6 @@ FORMS_TRIED = 2  # of a class at one base: four periods of alternating columns l
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
 BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
 # Z grows with the logarithm of chi2 only and cannot be asked (a black level of 140 sigma left 3 % of a chi2 of 20,000)
-LOST = 10.0  # mean square of what is left over: error bars three times too small, which no laboratory's are
-LEAST_SHARE = 1 / (2 * MAX_EFFECTS)  # of the excess chi2: the strongest of four explains a quarter, half of which it may bend by
 RANKED = 20  # subsets looked at for what to fit: those after them hold less than one in a hundred
 LIMIT_S = 3600.0  # a search that is not over in an hour is asked for by name: the longest that was seen took a quarter of it
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
@@ -182,9 +180,6 @@ def _investigate(case: Investigation, say: Say) -> None:
             better = _better(case, say, seen, first=turn == 0)
             if better is None:
                 break
-            if turn == 0 and _is_lost(case, better):
-                case.remarks.append(_lost_words(case, better))
-                break
             better = _form_before_name(case, better, say)
             say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
             seen.add(better.names)
@@ -208,29 +203,6 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     shaped = in_best_form(case, case.standing, say, asked=True)
     gain = better.log_evidence + case.log_prior(better.members) - shaped.log_evidence - case.log_prior(shaped.members)
     return better if shaped is case.standing or gain > float(np.log(ODDS)) else shaped
-
-
-def _is_lost(case: Investigation, found: Hypothesis) -> bool:
-    """Whether the catalogue cannot account for what is left over: far beyond all error bars, hardly touched by its best effect.
-
-    Of a campaign whose spectra, levels or windows are wrong a thousand sigmas are left, of which many an effect takes a few:
-    the ratios of their probabilities are large, and mean nothing.
-    """
-    return found.fitted.chi2 > LOST * case.problem.keep.size and _share(case, found) < LEAST_SHARE
-
-
-def _share(case: Investigation, found: Hypothesis) -> float:
-    """Of the chi2 that nothing explains, what a hypothesis does; at the base where nothing was fitted."""
-    nothing, n = case.known[NOTHING].fitted.chi2, case.problem.keep.size
-    return (nothing - found.fitted.chi2) / max(nothing - n, 1.0)
-
-
-def _lost_words(case: Investigation, found: Hypothesis) -> str:
-    times = case.known[NOTHING].fitted.chi2 / case.problem.keep.size
-    return (
-        f"what is left over is {times:.0f} times what the error bars allow, and {', '.join(sorted(found.names))}, the best that "
-        f"was fitted, explains {_share(case, found):.1%} of it: check lights, levels and windows of the campaign first"
-    )
 
 
 def _move_base(case: Investigation, say: Say) -> None:
@@ -304,7 +276,7 @@ def _refit(case: Investigation, say: Say, *, first: bool) -> None:
             break
         say(f"fitting {', '.join(sorted(names))}")
         found = fitted_jointly(case, names)
-        case.known[names] = found if first and _is_lost(case, found) else in_best_form(case, found, say)
+        case.known[names] = in_best_form(case, found, say)
 
 
 def of_several_classes(case: Investigation, proposals: Sequence[Names]) -> list[Names]:

@@ -12,7 +12,7 @@ from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.detective import CLEAR, ODDS, _better, _is_lost, _lost_words, _proposals, of_several_classes
+from isetval.loop.detective import CLEAR, ODDS, _better, _proposals, of_several_classes
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
@@ -50,7 +50,7 @@ class LinearCamera:
         return (model.value(key) if model.effect(name) is not None else standing) - standing
 
 
-def case_of(measured):
+def case_of(measured, apart=False):
     model = isetval.load_model(isetval_data() / "camera.toml")
     wanted = {c.name: c for c in candidates_for(model)}
     chosen = [wanted[key.split(".")[0]] for key in COLUMNS]
@@ -59,6 +59,8 @@ def case_of(measured):
     problem = Problem(
         LinearCamera(plan, model), Point(model), base, measured, np.arange(ROWS), np.eye(ROWS), np.zeros(ROWS), np.eye(ROWS)
     )
+    if apart:  # the last row is a family of its own
+        problem.predictor.table.metrics[-1] = Metric("other", 0.0, 1.0, "DN", shot="other", family="other")
     fitted = fit(problem, Point(model), ())
     signatures = {
         c.name: Signature(c, (column / UNIT)[:, None], np.array([UNIT]))
@@ -143,16 +145,26 @@ def test_the_true_pair_stays(case):
     assert case.table.of("dark_current") > 0.99
 
 
-@pytest.mark.parametrize(("beyond", "lost"), [(0.0, False), (100.0, False), (5000.0, True)])
-def test_an_effect_that_takes_little_of_what_no_error_bar_allows_is_not_named(beyond, lost):
+@pytest.mark.parametrize(("beyond", "named"), [(0.0, True), (100.0, True), (5000.0, False)])
+def test_an_effect_that_takes_little_of_what_no_error_bar_allows_is_not_named(beyond, named):
     """A campaign in wrong light: its chi2 of 25 million holds 40,000 that look like an effect.
 
     Of error bars as wide as the rows scatter that is a third of a sigma, which a fit does not follow.
     """
     case = case_of(200.0 * np.eye(ROWS)[0] + beyond * np.eye(ROWS)[-1])
-    found = fitted_jointly(case, frozenset({"dark_current"}))
-    assert _is_lost(case, found) is lost
-    assert ("explains 0.0% of it" in _lost_words(case, found)) is lost
+    better = _better(case, quiet, {NOTHING}, first=True)
+    assert (better is not None and better.names == {"dark_current"}) is named
+    assert (better is None) is not named
+
+
+def test_an_effect_keeps_its_name_beside_a_family_that_nothing_explains():
+    """Its own rows it explains; another family's chi2 of 25 million, 600 times what it takes, is that family's."""
+    case = case_of(200.0 * np.eye(ROWS)[0] + 5000.0 * np.eye(ROWS)[-1], apart=True)
+    better = _better(case, quiet, {NOTHING}, first=True)
+    assert better.names == {"dark_current"}
+    assert better.value("dark_current.rate_e_per_s")[0] == pytest.approx(
+        case.prepared.model.value("dark_current.rate_e_per_s") + 200 * UNIT, rel=0.01
+    )
 
 
 def test_a_member_that_is_not_needed_is_taken_out():
