@@ -7,21 +7,24 @@ then forms one transfer function.  Two focus shifts of +5 um and -5 um therefore
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.core.cache import Remembered, content_hash
 from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.signal import Signal
+from isetval.effects.pupil_integrals import aberrated, defocused
 
 Float = NDArray[np.float64]
 REFERENCE_NM = 550.0  # where a lens is in focus: the middle of the visible range
 MANY_FREQUENCIES, GRID_FREQUENCIES = 20_000, 129  # a picture of 141 px a side; the grid is exact to 1e-4 (tested)
+DIGITS = 12  # of a frequency in cycles/um: roundings of sine and cosine apart, edges of all directions ask for the same ones
+KNOWN_BYTES = 32 << 20  # a thousand lines of frequencies: pupils of all edges at all steps of a derivative
 RED_NM, GREEN_NM, BLUE_NM = 610.0, 540.0, 460.0
 """Wavelengths at which the axial colour of the red, green and blue channel is stated."""
 
@@ -76,23 +79,37 @@ class CircularPupil:
 
         Real, unless there is coma.
         """
+        turn = np.arctan2(fy, fx) if self._turns() else np.zeros(1)
+        many = np.broadcast(fx, fy, wavelength_nm).size > MANY_FREQUENCIES
+        if many and self._aberrated() and np.ndim(wavelength_nm) == 0:
+            return self._interpolated(fx, fy, wavelength_nm)
         frequency = np.hypot(fx, fy) / self.pixel_um
+        if many:
+            return self._integrated(frequency, turn, wavelength_nm)
+        # edges of one direction or another meet the same pupil at the same frequencies, over and over in a fit
+        frequency, turn = np.round(frequency, DIGITS), np.round(turn, DIGITS)
+        key = content_hash((astuple(self), frequency, turn, np.asarray(wavelength_nm, float)))
+        known = _KNOWN.get(key)
+        if known is None:
+            known = self._integrated(frequency, turn, wavelength_nm)
+            _KNOWN.put(key, known)
+        return known
+
+    def _integrated(self, frequency: Float, turn: Float, wavelength_nm: Float) -> Float:
+        """The transfer function at frequencies in cycles/um, in directions ``turn`` from the columns' axis."""
         wave_um = np.asarray(wavelength_nm, float) * 1e-3
         separation = np.asarray(frequency * wave_um * self.diffraction_f_number)
         phase = np.asarray(np.pi * self._focus(wavelength_nm) * frequency / self.f_number)
         if not self._aberrated():
-            return _defocused(separation, phase)
-        if separation.size > MANY_FREQUENCIES and np.ndim(wavelength_nm) == 0:
-            return self._interpolated(fx, fy, wavelength_nm)
+            return defocused(separation, phase)
         shear = 2 * np.pi * frequency * self.f_number * REFERENCE_NM * 1e-3
-        turn = np.arctan2(fy, fx)
         cos2, sin2 = np.cos(2 * turn), np.sin(2 * turn)
         a0, a45 = self.astigmatism_0_waves, self.astigmatism_45_waves
         phase = phase + shear * 4 * math.sqrt(6) * (a0 * cos2 + a45 * sin2)
         across = shear * 4 * math.sqrt(6) * (a45 * cos2 - a0 * sin2)
         along = self.coma_x_waves * np.cos(turn) + self.coma_y_waves * np.sin(turn)
         aside = self.coma_y_waves * np.cos(turn) - self.coma_x_waves * np.sin(turn)
-        out = _aberrated(separation, phase, across, shear * self.spherical_waves, shear * along, shear * aside)
+        out = aberrated(separation, phase, across, shear * self.spherical_waves, shear * along, shear * aside)
         return out if self.coma_x_waves or self.coma_y_waves else cast(Float, out.real)
 
     def _interpolated(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
@@ -116,8 +133,15 @@ class CircularPupil:
             return self.focus_um
         return np.asarray(self.focus_um + axial_um(wavelength_nm, self.red_um, self.blue_um))
 
+    def _turns(self) -> bool:
+        """Whether it is another in another direction."""
+        return any((self.coma_x_waves, self.coma_y_waves, self.astigmatism_0_waves, self.astigmatism_45_waves))
+
     def _aberrated(self) -> bool:
         return any(getattr(self, field.name) for field in fields(self) if field.name.endswith("_waves"))
+
+
+_KNOWN = Remembered(KNOWN_BYTES)
 
 
 @lru_cache(maxsize=64)
@@ -192,107 +216,3 @@ def field_point(context: Context) -> tuple[float, float]:
     sensor = context.sensor
     half = math.hypot(sensor.rows, sensor.cols) / 2
     return (col0 + (cols - sensor.cols) / 2) / half, (row0 + (rows - sensor.rows) / 2) / half
-
-
-@lru_cache(maxsize=64)
-def _nodes(count: int) -> tuple[Float, Float]:
-    """Gauss-Legendre nodes and weights on (0, 1)."""
-    x, w = np.polynomial.legendre.leggauss(count)
-    return (x + 1) / 2, w / 2
-
-
-def _count(largest_phase: float) -> int:
-    return min(400, 4 * math.ceil((14 + 0.7 * largest_phase) / 4))
-
-
-def _defocused(separation: Float, phase: Float) -> Float:
-    """OTF of a defocused circular pupil; ``phase`` is a = pi z f / N."""
-    s, a = np.broadcast_arrays(separation, phase)
-    inside = s < 1
-    if not np.any(a):
-        v = np.minimum(s, 1)
-        return np.asarray(2 / np.pi * (np.arccos(v) - v * np.sqrt(1 - v**2)))
-    if not np.any(s):
-        from scipy.special import j1
-
-        safe = np.where(np.abs(a) < 1e-4, 1.0, a)
-        return np.asarray(np.where(np.abs(a) < 1e-4, 1 - a**2 / 8, 2 * j1(safe) / safe))
-    out = np.zeros(s.shape)
-    out[inside] = _hopkins(s[inside], a[inside])
-    return out
-
-
-def _hopkins(s: Float, a: Float, across: Float | None = None) -> Float:
-    """(4/pi) int cos(across v) sin(a X)/a dv by Gauss-Legendre in t, v = sin t; arguments are (n,)."""
-    limit = np.arccos(s)
-    total = np.zeros_like(s)
-    a = np.maximum(np.abs(a), 1e-7)
-    size = a * (1 - s) if across is None else (a + np.abs(across)) * (1 - s)
-    for node, weight in zip(*_nodes(_count(float(size.max(initial=0)))), strict=True):
-        cosine = np.cos(limit * node)
-        strip = weight * cosine * np.sin(a * (cosine - s))
-        total += strip if across is None else strip * np.cos(across * np.sin(limit * node))
-    return np.asarray(4 / np.pi * limit * total / a)
-
-
-def _aberrated(separation: Float, *phases: Any) -> NDArray[Any]:
-    """OTF with defocus, astigmatism, spherical aberration and coma.
-
-    ``phases`` are the coefficients of u, of v, of the spherical term, and of coma along and aside.
-    """
-    s, *terms = np.broadcast_arrays(separation, *phases)
-    inside = s < 1
-    out = np.zeros(s.shape, complex)
-    out[inside] = _integral(s[inside], *(term[inside] for term in terms))
-    return out
-
-
-def _integral(s: Float, focus: Float, across: Float, spherical: Float, along: Float, aside: Float) -> NDArray[Any]:
-    """Quadrature over the common area of two unit circles at +-s, arguments (n,)."""
-    if not (np.any(spherical) or np.any(along) or np.any(aside)):
-        return _hopkins(s, focus, across)
-    spherical, along, aside = 24 * 5**0.5 * spherical, 8**0.5 * along, 12 * 8**0.5 * aside
-    size = (np.abs(focus) + np.abs(across) + np.abs(spherical) + 14 * np.abs(along) + np.abs(aside)) * (1 - s)
-    rule = _quadrant if not (np.any(along) or np.any(aside)) else _whole
-    out = np.zeros(s.shape, complex)
-    limits = (0.0, 6.0, 16.0, 36.0, 76.0, math.inf)
-    for low, high in pairwise(limits):
-        part = (size >= low) & (size < high)
-        if part.any():
-            count = _count(min(high, float(size[part].max()), 150.0))
-            out[part] = rule(count, s[part], focus[part], across[part], spherical[part], along[part], aside[part])
-    return out
-
-
-def _quadrant(count: int, s: Float, focus: Float, across: Float, spherical: Float, *_: Float) -> Float:
-    """Without coma the phase is odd in u and even in v but for ``across`` v: one quadrant is enough."""
-    limit = np.arccos(s)
-    total = np.zeros(s.shape)
-    for t, weight_t in zip(*_nodes(count), strict=True):
-        v, cosine = np.sin(limit * t), np.cos(limit * t)
-        reach = cosine - s
-        straight = focus + spherical * (2 * (v * v + s * s) - 1)
-        strip = np.zeros(s.shape)
-        for x, weight_x in zip(*_nodes(count), strict=True):
-            u = reach * x
-            strip += weight_x * np.cos(u * (straight + 2 * spherical * u * u))
-        total += weight_t * cosine * reach * strip * np.cos(across * v)
-    return np.asarray(4 / np.pi * limit * total)
-
-
-def _whole(count: int, s: Float, focus: Float, across: Float, spherical: Float, along: Float, aside: Float) -> NDArray[Any]:
-    """All of the common area."""
-    limit = np.arccos(s)
-    nodes, weights = _nodes(count)
-    total = np.zeros(s.shape, complex)
-    for t, weight_t in zip(2 * nodes - 1, 2 * weights, strict=True):
-        v, cosine = np.sin(limit * t), np.cos(limit * t)
-        reach = cosine - s
-        constant = across * v + along * (6 * (v * v + s * s) - 4)
-        straight = focus + spherical * (2 * (v * v + s * s) - 1) + aside * v
-        strip = np.zeros(s.shape, complex)
-        for x, weight_x in zip(2 * nodes - 1, 2 * weights, strict=True):
-            u = reach * x
-            strip += weight_x * np.exp(1j * (constant + u * (straight + u * (18 * along + 2 * spherical * u))))
-        total += weight_t * cosine * reach * strip
-    return np.asarray(limit * total / np.pi)
