@@ -114,7 +114,8 @@ def identify(
         frame = make_frame(fitted)
         own = [c for c in candidates_for(model) if c.name == c.klass]  # of several forms of an effect the first speaks for it
         made = signatures(problem, Point(model), own, project=frame.basis[: frame.rows])
-        white = {s.candidate.name: problem.whitened(s.columns) for s in made}
+        each = problem.whitened_each([s.columns for s in made])
+        white = {s.candidate.name: part for s, part in zip(made, each, strict=True)}
         rows, hidden = [], []
         for s in made:
             c = s.candidate

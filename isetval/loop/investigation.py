@@ -95,7 +95,8 @@ class Investigation:
     def white(self) -> dict[str, Float]:
         """Whitened columns of every signature, with the weights of the present problem."""
         if self.whitened[0] is not self.problem:
-            self.whitened = (self.problem, {name: self.problem.whitened(s.columns) for name, s in self.signatures.items()})
+            each = self.problem.whitened_each([s.columns for s in self.signatures.values()])
+            self.whitened = (self.problem, dict(zip(self.signatures, each, strict=True)))
         return self.whitened[1]
 
     def log_prior(self, members: Sequence[Member]) -> float:

@@ -177,7 +177,8 @@ def shown_by(plan: Campaign, start: Point, wanted: Sequence[Candidate]) -> Shown
     free = nuisance_parameters(extra.plan, start.model)
     columns = jacobian(extra, start, free)
     predictor.close()
-    return Shown(free, columns, {s.candidate.name: extra.whitened(s.columns) for s in made})
+    each = extra.whitened_each([s.columns for s in made])
+    return Shown(free, columns, {s.candidate.name: white for s, white in zip(made, each, strict=True)})
 
 
 def _pair_cosine(problem: Problem, frame: Frame, a: Signature, b: Signature) -> float:

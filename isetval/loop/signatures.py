@@ -60,15 +60,15 @@ def signatures(
     wanted = _where_it_shows(problem, point, wanted, steps, columns)
     for _ in range(2):
         again, before = [], (list(steps), list(columns))
-        for i, column in enumerate(columns):
-            length = np.linalg.norm(_profiled(problem, column * steps[i], project), axis=0)
+        for i, white in enumerate(_profiled(problem, [c * s for c, s in zip(columns, steps, strict=True)], project)):
+            length = np.linalg.norm(white, axis=0)
             if np.any(length > STRONG):
                 steps[i] = _closer(wanted[i], steps[i], length)
                 again.append(i)
         if not again:
             break
         for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
-            seen = _still_shows(problem.whitened(column), problem.whitened(before[1][i]))
+            seen = _still_shows(*problem.whitened_each([column, before[1][i]]))
             columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
     wanted = [replace(c, code_steps=_code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     columns = _through_focus(problem, point, wanted, steps, columns, focus)
@@ -115,8 +115,8 @@ def _shorten_by_small_shots(
     for _ in range(SHORTENED):
         columns = _secants(problem, point, [wanted[i] for i in todo], [steps[i] for i in todo], only=small)
         again = []
-        for i, column in zip(todo, columns, strict=True):
-            white = problem.whitened(column)[shots]
+        for i, column, all_rows in zip(todo, columns, problem.whitened_each(columns), strict=True):
+            white = all_rows[shots]
             lengths = length(white * steps[i])
             if not (_still_shows(white, longer[i]) if i in longer else column.any()):
                 steps[i] = before[i]
@@ -169,24 +169,26 @@ def _past_the_onset(
     todo = [
         i
         for i, c in enumerate(wanted)
-        if len(c.parameters) == 1 and (c.present or columns[i].any()) and _shown(problem, c, columns[i]) <= DETECTED
+        if len(c.parameters) == 1 and (c.present or columns[i].any())
     ]
+    shown = problem.whitened_each([columns[i] for i in todo])
+    todo = [i for i, white in zip(todo, shown, strict=True) if _shown(wanted[i], white) <= DETECTED]
     for times in FARTHER:
         ways = {i: times * np.sign(steps[i]) * wanted[i].tau for i in todo}
         ways = {i: way for i, way in ways.items() if _is_within(wanted[i], way)}
         found = _secants(problem, point, [wanted[i] for i in ways], list(ways.values()))
         todo = []
         for (i, way), column in zip(ways.items(), found, strict=True):
-            steeper = not _still_shows(problem.whitened(columns[i]), problem.whitened(column))
-            if steeper and _shown(problem, wanted[i], column) > DETECTED:
+            within, beyond = problem.whitened_each([columns[i], column])
+            if not _still_shows(within, beyond) and _shown(wanted[i], beyond) > DETECTED:
                 columns[i], steps[i] = column, way
             else:
                 todo.append(i)
 
 
-def _shown(problem: Problem, candidate: Candidate, column: Float) -> float:
-    """Sigmas that the prior's width of a single parameter makes, by a secant per unit (metrics, 1)."""
-    return float(np.linalg.norm(problem.whitened(column)) * candidate.tau[0])
+def _shown(candidate: Candidate, white: Float) -> float:
+    """Sigmas that the prior's width of a single parameter makes, by a whitened secant per unit (rows, 1)."""
+    return float(np.linalg.norm(white) * candidate.tau[0])
 
 
 def _is_within(candidate: Candidate, step: Float) -> bool:
@@ -258,9 +260,8 @@ def _through_focus(
     return out
 
 
-def _profiled(problem: Problem, columns: Float, project: Float) -> Float:
-    white = problem.whitened(columns)
-    return np.asarray(white - project @ (project.T @ white))
+def _profiled(problem: Problem, columns: Sequence[Float], project: Float) -> list[Float]:
+    return [white - project @ (project.T @ white) for white in problem.whitened_each(columns)]
 
 
 def _secants(

@@ -185,7 +185,7 @@ def _nominal_signatures(case: Investigation) -> dict[str, Float]:
     At the present base other rows may be kept, and a named effect is free there: nothing of its own signature is left.
     """
     problem, _ = case.prepared.settled(case.prepared.model)
-    return {name: problem.whitened(s.columns) for name, s in case.signatures.items()}
+    return dict(zip(case.signatures, problem.whitened_each([s.columns for s in case.signatures.values()]), strict=True))
 
 
 def _pairs(case: Investigation, like: Mapping[str, Likeness]) -> list[tuple[Signature, Signature]]:
