@@ -166,11 +166,7 @@ def _past_the_onset(
     A pixel that is said to be full at 6000 electrons, and is at 4800, shows in a step of 500 nothing but the noise's tail of a
     flat of 5000.  Twice or four times the width is within what priors allow; the slope there has to be larger.
     """
-    todo = [
-        i
-        for i, c in enumerate(wanted)
-        if len(c.parameters) == 1 and (c.present or columns[i].any())
-    ]
+    todo = [i for i, c in enumerate(wanted) if len(c.parameters) == 1 and (c.present or columns[i].any())]
     shown = problem.whitened_each([columns[i] for i in todo])
     todo = [i for i, white in zip(todo, shown, strict=True) if _shown(wanted[i], white) <= DETECTED]
     for times in FARTHER:
