@@ -34,10 +34,11 @@ def cholesky(covariance: Float) -> tuple[Float, Float]:
 
 def whitener(covariance: Float) -> Float:
     """L^-1 (n, n): residuals times it are independent with standard deviation 1."""
-    from scipy.linalg import solve_triangular
+    from scipy.linalg.lapack import dtrtri  # a third of the work of solving for the columns of 1
 
     lower, scale = cholesky(covariance)
-    return np.asarray(solve_triangular(lower, np.diag(1 / scale), lower=True))
+    inverse, _ = dtrtri(lower, lower=1)
+    return np.asarray(np.tril(inverse) / scale)
 
 
 def log_volume(covariance: Float) -> float:

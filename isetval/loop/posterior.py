@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +36,19 @@ class Posterior:
     def probabilities(self, width: float = 1.0) -> dict[Names, float]:
         """Of every subset, with all prior widths ``width`` times as wide (Lindley 1957: 1/width for each parameter)."""
         subsets = list(self.logs)
-        logs = np.array([self.logs[s] - self.freed[s] * np.log(width) for s in subsets])
+        logs, freed = (np.array([table[s] for s in subsets], float) for table in (self.logs, self.freed))
+        logs = logs - freed * np.log(width)
         weight = np.exp(logs - logs.max())
         return dict(zip(subsets, map(float, weight / weight.sum()), strict=True))
+
+    @cached_property
+    def members(self) -> dict[str, float]:
+        """Probability that each name is missing, whatever else is."""
+        found: dict[str, float] = {}
+        for subset, chance in self.probabilities().items():
+            for name in subset:
+                found[name] = found.get(name, 0.0) + chance
+        return {name: min(1.0, chance) for name, chance in found.items()}
 
     @property
     def nothing(self) -> float:
