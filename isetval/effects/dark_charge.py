@@ -1,7 +1,8 @@
-"""Charge that no light made: dark current, its drift, glow, hot pixels and particles."""
+"""Charge that no light made: dark current, its drift and unevenness, glow, hot pixels and particles."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,6 +116,48 @@ class AmpGlow(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DarkCurrentNonuniformity(Effect):
+    """Dark current that differs from pixel to pixel (DCNU): a fixed pattern that grows with the exposure time.
+
+    dsnu does not grow; hot_pixels are few and far out.  Rates are log-normal about their mean, which stays: the lowest pixel
+    has a rate of the mean less sigma / spread.  No pixel loses charge: with a spread below sigma over the mean rate some stand
+    at zero, and the mean rises.
+    """
+
+    name = "dark_current_nonuniformity"
+    stage = "electronics"
+    acts_on = "electron"
+    gives = "electron"
+    random = "sensor"
+    order = 23.0
+    absent = "short exposures, cooled cameras"
+    imitated_by = (
+        "dsnu",
+        "hot_pixels",
+        "amp_glow",
+    )
+    free = FreeAxis("exposure", "strength", 0.5)
+    equation = "max(0, mu + sigma t (exp(s z - s^2/2) - 1)/c), s^2 = ln(1 + c^2), z fixed unit normals"
+    reference = "Konnik & Welsh, arXiv:1412.4031 (2014), sec. 3 (dark-current fixed-pattern noise, log-normal)"
+    must_not_change = ("edge",)
+
+    sigma_e_per_s: float = parameter(0.0, unit="e-/s", low=0.0, high=1e6, tau=0.5, doc="standard deviation sigma over pixels")
+    spread: float = parameter(0.5, unit="1", low=0.01, high=5.0, tau=0.3, shape=True, doc="sigma over mean c of the log-normal")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """Add each pixel's charge beyond the mean."""
+        charge = self.sigma_e_per_s * context.time_s()
+        if not charge:
+            return signal
+        s = math.sqrt(math.log1p(self.spread**2))
+        values = signal.values
+        pattern = own(np.expm1(s * context.fixed_normal() - s * s / 2), values)
+        pattern *= charge / self.spread
+        pattern += values
+        return signal.with_values(np.maximum(pattern, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
 class HotPixels(Effect):
     """A fraction of pixels with high dark current, exponentially distributed; the same pixels in each frame."""
 
@@ -131,6 +174,7 @@ class HotPixels(Effect):
     imitated_by = (
         "rts",
         "dsnu",
+        "dark_current_nonuniformity",
         "transient_hits",
     )
     free = FreeAxis("exposure", "strength", 0.5)

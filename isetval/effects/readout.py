@@ -38,6 +38,7 @@ class Dsnu(Effect):
     absent = "raw files whose darks were subtracted"
     imitated_by = (
         "hot_pixels",
+        "dark_current_nonuniformity",
         "row_fpn",
         "column_fpn",
     )

@@ -121,6 +121,7 @@ def sensor_steps(found: Mapping[str, float], told: Mapping[str, Any]) -> list[St
     return [
         *given("prnu_percent", "prnu", "sigma_percent"),
         *given("dark_current_e_per_s", "dark_current", "rate_e_per_s"),
+        *given("dark_current_nonuniformity_e_per_s", "dark_current_nonuniformity", "sigma_e_per_s"),
         ("shot_noise", {"source": "law: Poisson statistics"}),
         *given("well_e", "full_well", "well_e"),
         *given("dsnu_e", "dsnu", "sigma_e"),

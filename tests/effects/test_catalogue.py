@@ -36,7 +36,7 @@ GUIDE = (
     "defocus diffraction axial_color spherical coma astigmatism field_curvature sensor_tilt decenter cos4 "
     "vignetting veiling_glare ghost lateral_color distortion motion_blur microlens pixel_aperture "
     "charge_diffusion spectral_crosstalk channel_gain cfa_angle_shift ir_leak fluorescence "
-    "conversion_gain read_noise dark_current dsnu prnu row_fpn column_fpn temporal_row_noise rts "
+    "conversion_gain read_noise dark_current dark_current_nonuniformity dsnu prnu row_fpn column_fpn temporal_row_noise rts "
     "hot_pixels black_level nonlinearity gain_knee full_well quantization brighter_fatter gr_gb_imbalance "
     "pdaf_pixels lag amp_glow temperature_drift exposure_time flicker light_nonuniformity spd_mismatch "
     "black_reflectance chart_tilt interreflection gloss ambient_light position_scale etalon_ripple "

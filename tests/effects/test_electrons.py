@@ -7,7 +7,7 @@ import pytest
 
 from isetval.core.sensor import Exposure
 from isetval.core.signal import Signal
-from isetval.effects.dark_charge import AmpGlow, DarkCurrent, HotPixels, TemperatureDrift
+from isetval.effects.dark_charge import AmpGlow, DarkCurrent, DarkCurrentNonuniformity, HotPixels, TemperatureDrift
 from isetval.effects.electrons import BrighterFatter, FullWell, Lag, PdafPixels, Prnu, ShotNoise
 from isetval.effects.exposure import ExposureTime, Flicker
 
@@ -51,6 +51,22 @@ def test_dark_charge_grows_with_time_frame_and_place(place, charge):
     glow = AmpGlow(rate_e_per_s=3.0, x0=0.0, y0=0.25, width=0.5)
     np.testing.assert_allclose(run(glow, charge(0, shape=(1, 1)), source), 6 * np.exp(-0.5), rtol=1e-3)  # half px off the middle
     assert run(DarkCurrent(rate_e_per_s=5), charge(10), place(exposure=Exposure())).max() == 10
+
+
+def test_uneven_dark_current_is_log_normal_keeps_its_mean_and_grows_with_time(place, charge):
+    effect = DarkCurrentNonuniformity(sigma_e_per_s=1.5, spread=0.5)
+    extra = run(effect, charge(10), place(effect, exposure=Exposure(time_s=2.0))) - 10
+    assert extra.mean() == pytest.approx(0, abs=5 * 3 / np.sqrt(N))
+    # of a log-normal of relative spread c: skewness c^3 + 3 c, kurtosis w^4 + 2 w^3 + 3 w^2 - 3 with w = 1 + c^2
+    w = 1.25
+    kurtosis = w**4 + 2 * w**3 + 3 * w**2 - 3
+    assert extra.std() == pytest.approx(3, rel=5 * np.sqrt((kurtosis - 1) / 4 / N))
+    skew = float(np.mean((extra / extra.std()) ** 3))
+    assert skew == pytest.approx(0.5**3 + 3 * 0.5, rel=0.1)
+    assert extra.min() > -1.5 * 2 / 0.5  # the pixel without dark current
+    twice = run(effect, charge(10), place(effect, exposure=Exposure(time_s=4.0), frame=5)) - 10
+    np.testing.assert_allclose(twice, 2 * extra, atol=1e-4)
+    assert run(effect, charge(1), place(effect, exposure=Exposure(time_s=4.0))).min() == 0
 
 
 def test_hot_pixels_are_the_stated_fraction_with_exponential_rates(place, charge):

@@ -283,16 +283,17 @@ def test_whole_frames_are_looked_at_in_parts_and_fall_off_is_no_light_level(tmp_
     assert abs((col - 300) * np.cos(np.radians(5)) - (row - 400) * np.sin(np.radians(5))) < 0.3
 
 
-MADE = {"conversion_gain": 0.25, "read_noise": 6.0, "dark_current": 8.0}
+MADE = {"conversion_gain": 0.25, "read_noise": 6.0, "dark_current": 8.0, "dark_current_nonuniformity": 4.0}
 
 
 def _electrons_of_a_lab(folder, *, flats, **stated):
-    """Darks of three times and an even series in three colours of light, by other code: gain .25, 6 e- rms, 8 e-/s."""
+    """Darks of three times and an even series in three colours of light, by other code: gain .25, 6 e- rms, 8 +- 4 e-/s."""
     color = np.array([[0.6, 1.0], [1.0, 1.5]])  # red, green, green, blue
     plane = np.tile(color, (80, 100))
+    rate = np.random.default_rng(5).gamma(4.0, 2.0, plane.shape)
     for k, time_s in enumerate((0.01, 0.5, 3.0)):
         for i in range(4):
-            _write(folder / "cap" / f"{k}{i}.dng", np.full(plane.shape, 8.0 * time_s), time_s, 10 * k + i)
+            _write(folder / "cap" / f"{k}{i}.dng", rate * time_s, time_s, 10 * k + i)
     for k, electrons in enumerate(flats):
         for i in range(2):
             _write(folder / "sphere" / f"{k}{i}.dng", electrons * plane, electrons * 2e-5, 100 + 10 * k + i, **stated)

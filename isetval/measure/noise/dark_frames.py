@@ -47,6 +47,8 @@ class PlaneDark:
         Fixed row and column parts.
     dark_current_dn_per_s, dark_current_variance_dn2_per_s : Quantity
         Slopes of mean and of temporal variance over exposure time; their ratio is K.
+    dark_current_nonuniformity_dn_per_s : Quantity
+        Fixed pixel-to-pixel pattern that grows with exposure time: root of the slope of its variance over the square of time.
     hot_pixels, noisy_pixels : int
         Pixels above the field at the longest time; pixels of excess temporal noise (telegraph noise).
     drift_dn : Quantity
@@ -68,6 +70,7 @@ class PlaneDark:
     column_fixed_dn: Quantity
     dark_current_dn_per_s: Quantity
     dark_current_variance_dn2_per_s: Quantity
+    dark_current_nonuniformity_dn_per_s: Quantity
     hot_pixels: int
     noisy_pixels: int
     drift_dn: Quantity
@@ -198,6 +201,7 @@ def _plane_dark(plane: str, levels: Sequence[tuple[float | None, DarkLevel]], fr
         column_fixed_dn=root(first.fixed.column, "DN"),
         dark_current_dn_per_s=current,
         dark_current_variance_dn2_per_s=by_variance,
+        dark_current_nonuniformity_dn_per_s=_pattern_slope(levels),
         hot_pixels=longest.hot,
         noisy_pixels=longest.noisy,
         drift_dn=root(first.frame_scatter, "DN"),
@@ -233,6 +237,16 @@ def _variance_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> Quantit
     time = np.array([t for t, _ in known])
     theta, covariance = _weighted_line(time, np.array([v.value for _, v in known]), np.array([v.sigma for _, v in known]))
     return Quantity(float(theta[1]), float(math.sqrt(covariance[1, 1])), "DN^2/s")
+
+
+def _pattern_slope(levels: Sequence[tuple[float | None, DarkLevel]]) -> Quantity:
+    """Root of the slope of the fixed pattern's variance over the square of time, DN/s: offsets stay, uneven currents grow."""
+    known = [(t or 0.0, level.dsnu_variance) for t, level in levels if math.isfinite(level.dsnu_variance.value)]
+    if len(known) < 2:
+        return Quantity(math.nan, math.nan, "DN/s")
+    square, variance, sigma = (np.array(part) for part in zip(*((t * t, v.value, v.total_sigma) for t, v in known), strict=True))
+    theta, covariance = _weighted_line(square, variance, sigma)
+    return root(Quantity(float(theta[1]), float(math.sqrt(covariance[1, 1])), "DN^2/s^2"), "DN/s")
 
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -116,6 +116,15 @@ EFFECTS = (
     _effect(
         "gr_gb_imbalance", {"share": 0.001}, "0.2 % between the greens", values=lambda p, c: {"center": p["share"], "corner": 0.0}
     ),
+    _effect(
+        "uneven_dark_current",
+        {"sd_e_per_s": 0.13},
+        "half the rate of " + PAPER,
+        name="dark_current_nonuniformity",
+        seen=DARK,
+        power=2,
+        values=_same(sigma_e_per_s="sd_e_per_s"),
+    ),
     _effect("hot_pixels", {"fraction": 0.002}, OWN, seen=DARK, fixed={"mean_e_per_s": 100.0}, values=_same(fraction="fraction")),
     _effect(
         "light_nonuniformity",

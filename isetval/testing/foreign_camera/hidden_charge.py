@@ -46,6 +46,13 @@ def amp_glow(charge: Float, camera: Camera, place: Place, rng: Generator, *, e_p
     return np.asarray(charge + e_per_s * place.time_s / (1 + ((x - 0.82) ** 2 + (y - 0.62) ** 2) / 0.25**2))
 
 
+@at("mean_charge", "uneven_dark_current")
+def uneven_dark_current(charge: Float, camera: Camera, place: Place, rng: Generator, *, sd_e_per_s: float) -> Float:
+    """Rates spread as the sum of four squared normals, their mean kept: no rate is far below it, some are far above."""
+    four = sum(fixed_normals(camera.specimen, kind, place.window) ** 2 for kind in (41, 42, 43, 44))
+    return charge + sd_e_per_s * place.time_s * (four - 4) / 8**0.5
+
+
 @at("mean_charge", "hot_pixels")
 def hot_pixels(charge: Float, camera: Camera, place: Place, rng: Generator, *, fraction: float, mean_e_per_s: float) -> Float:
     """Single defects with an exponential spread of rates, always the same pixels."""

@@ -32,12 +32,15 @@ class NoiseCamera:
     row_fixed_e: float = 0.0
     column_fixed_e: float = 0.0
     dark_e_per_s: float = 0.0
+    uneven_dark_e_per_s: float = 0.0  # standard deviation over the pixels, gamma
 
     def __post_init__(self) -> None:
         rows, cols = self.shape
         self.offset = self.dsnu_e * self.rng.standard_normal(self.shape)
         self.offset = self.offset + self.row_fixed_e * self.rng.standard_normal((rows, 1))
         self.offset = self.offset + self.column_fixed_e * self.rng.standard_normal((1, cols))
+        mean, spread = self.dark_e_per_s, self.uneven_dark_e_per_s
+        self.rate = self.rng.gamma((mean / spread) ** 2, spread**2 / mean, self.shape) if spread else mean
         self.response = 1 + self.prnu * self.rng.standard_normal(self.shape)
 
     def shoot(self, electrons=0.0, frames=2, *, time_s=None, drift=0.0, flicker=0.0, shade=1.0):
@@ -47,7 +50,7 @@ class NoiseCamera:
         for _ in range(frames):
             lamp = 1 + drift * self.rng.standard_normal()
             wave = 1 + np.sqrt(2) * flicker * np.sin(0.2 * rows + self.rng.uniform(0, 2 * np.pi))
-            mu = electrons * shade * lamp * wave[:, None] * self.response + self.dark_e_per_s * (time_s or 0.0)
+            mu = electrons * shade * lamp * wave[:, None] * self.response + self.rate * (time_s or 0.0)
             mu = np.broadcast_to(mu, self.shape)
             out.append(self._capture(self._charge(mu), time_s))
         return out

@@ -37,6 +37,19 @@ def test_dark_current_by_mean_and_by_variance():
     assert abs(found.black_level_dn.value - 64) < 4 * found.black_level_dn.total_sigma
 
 
+def test_uneven_dark_current_is_what_the_pattern_grows_by():
+    """Offsets stay; rates differ by 1 e-/s from pixel to pixel (gamma, mean 3)."""
+    camera = NoiseCamera(np.random.default_rng(46), dark_e_per_s=3.0, uneven_dark_e_per_s=1.0)
+    found = dark([c for t in (0.01, 1.0, 4.0) for c in camera.shoot(0.0, 8, time_s=t)])["MONO"]
+    uneven = found.dark_current_nonuniformity_dn_per_s
+    assert abs(uneven.value - GAIN) < 4 * uneven.total_sigma
+    assert uneven.total_sigma < 0.1 * uneven.value
+    assert abs(found.dark_current_dn_per_s.value - 3 * GAIN) < 4 * GAIN / 128 + 4 * found.dark_current_dn_per_s.sigma
+    even = dark([c for t in (0.01, 1.0, 4.0) for c in NoiseCamera(np.random.default_rng(47)).shoot(0.0, 8, time_s=t)])["MONO"]
+    assert even.dark_current_nonuniformity_dn_per_s.value < 4 * even.dark_current_nonuniformity_dn_per_s.total_sigma
+    assert np.isnan(dark(camera.shoot(0.0, 4))["MONO"].dark_current_nonuniformity_dn_per_s.value)
+
+
 def test_rows_and_columns_fixed_and_temporal():
     camera = NoiseCamera(
         np.random.default_rng(43), (256, 192), read_e=9.0, row_temporal_e=2.0, row_fixed_e=2.5, column_fixed_e=3.0
