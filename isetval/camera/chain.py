@@ -227,7 +227,13 @@ def _lit(scene: Scene) -> Scene:
     first, last = (0, 0) if not light.any() else (int(np.flatnonzero(light)[0]), int(np.flatnonzero(light)[-1]))
     bands = slice(max(first - 1, 0), last + 2)
     ambient = None if scene.ambient is None else scene.ambient[bands]
-    return replace(scene, wavelength_nm=scene.wavelength_nm[bands], white=scene.white[bands], ambient=ambient)
+    return replace(
+        scene,
+        wavelength_nm=scene.wavelength_nm[bands],
+        white=scene.white[bands],
+        ambient=ambient,
+        patch_factor={name: factor[bands] for name, factor in scene.patch_factor.items()},
+    )
 
 
 def _radiance(scene: Scene, context: Context, how: Rendering) -> Signal:

@@ -80,14 +80,19 @@ def test_all_patches_are_differentiated_in_one_step(camera):
             np.testing.assert_allclose(column[rows][mine & means], level[mine & means], rtol=0.01, atol=3 * 1.06)
 
 
+NARROW = Light("lamp", Spectrum(np.array([589.0, 590.0, 650.0, 651.0]), np.array([0.0, 0.02, 0.02, 0.0])))
+
+
+@pytest.mark.parametrize("lamp", [LAMP, NARROW], ids=["wide", "narrow"])
 @pytest.mark.parametrize(("name", "power"), [("patch_tilt", 1), ("patch_bow", 2)])
-def test_a_patch_whose_spectrum_is_off_is_one_of_that_spectrum(camera, name, power):
+def test_a_patch_whose_spectrum_is_off_is_one_of_that_spectrum(camera, name, power, lamp):
+    """In narrow light too, of which the simulator keeps the lit bands only."""
     wide = np.linspace(380.0, 730.0, 351)
     bent = {k: Spectrum.flat(v) for k, v in STATED.items()} | {
         "b": Spectrum(wide, 0.3 * (1 + 0.2 * ((wide - 550) / 100) ** power))
     }
     unknown = Nuisance(name, 0.1, SHOT_NUISANCES[name].unit, "campaign", roles=("chart",))
-    plan = chart(camera, STATED, unknown)
+    plan = replace(chart(camera, STATED, unknown), lights={"lamp": lamp})
     label = next(p.label for p in plan.unknowns() if p.patch == "b")
     by_value = isetval.simulate(camera, plan, seed=5, values={label: 0.2})
     patches = tuple(replace(p, reflectance=bent[p.name]) for p in plan.shots[0].target.patches)
