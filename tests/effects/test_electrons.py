@@ -64,7 +64,7 @@ def test_uneven_dark_current_is_log_normal_keeps_its_mean_and_grows_with_time(pl
     skew = float(np.mean((extra / extra.std()) ** 3))
     assert skew == pytest.approx(0.5**3 + 3 * 0.5, rel=0.1)
     assert extra.min() > -1.5 * 2 / 0.5  # the pixel without dark current
-    twice = run(effect, charge(10), place(effect, exposure=Exposure(time_s=4.0), frame=5)) - 10
+    twice = run(effect, charge(20), place(effect, exposure=Exposure(time_s=4.0), frame=5)) - 20
     np.testing.assert_allclose(twice, 2 * extra, atol=1e-4)
     assert run(effect, charge(1), place(effect, exposure=Exposure(time_s=4.0))).min() == 0
 
