@@ -16,6 +16,7 @@ from isetval.files.shot_grouping import ShotGroup
 from isetval.files.spectra_search import chart_reflectances
 
 WHITE = 0.9  # reflectance of a chart's white patch
+LEAST_REFLECTANCE = 0.005  # black paint of boards reflects 1 % or more; glare and noise make less of it
 WHITE_CLIPS = 0.9  # of the range: noise and the chart's own unevenness reach white beyond
 LEAST_TILT_DN, LEAST_TILT_PATCHES = 10.0, 8  # patches that tell how evenly a chart was lit: codes of 10 err by 5 %
 CLEAR_DN = 30.0  # half a code of offset is 2 % of it
@@ -56,7 +57,7 @@ def _add_chart(work: Drafting, index: int, group: ShotGroup, light: str, level: 
     pitch = int(np.median(rows[:, 1] - rows[:, 0]))
     outline = (max(0, int(rows.min()) - pitch), int(rows.max()) + pitch, max(0, int(cols.min()) - pitch), int(cols.max()) + pitch)
     part, moved = cut(window, outline, work.sensor)
-    target = _chart_target(work, chart, moved)
+    target = _chart_target(work, chart, moved, (part.rows, part.cols))
     name = shot_name(work, "chart")
     pose = f", turned by {chart.turn_deg:.2f} deg, {chart.outliers} of 24 patches off its plane" if not chart.disks else ""
     comment = work.seen[index].content.why + pose
@@ -128,7 +129,27 @@ def _brightest_channel(poses: Sequence[tuple[ChartPose | None, ShotGroup]]) -> i
     return int(np.argmax(max(clear or white, key=lambda w: float(w.max()) if clear else -float(w.max()))))
 
 
-def _chart_target(work: Drafting, chart: ChartPose, moved: tuple[int, int]) -> str:
+def _surround(chart: ChartPose, moved: tuple[int, int], shape: tuple[int, int]) -> dict[str, object]:
+    """Grey reflectances of the board and of what is behind it, as their levels stand to the white patch; and the board's box."""
+    seen = chart.surround
+    if seen is None:
+        return {}
+
+    def grey(share: float) -> float:
+        return round(float(np.clip(WHITE * share, LEAST_REFLECTANCE, 1.0)), 3)
+
+    table: dict[str, object] = {"surround": grey(seen.board)}
+    if seen.outline is None or seen.behind is None:
+        return table
+    down, across = moved
+    ends = zip(seen.outline, (down, down, across, across), (shape[0], shape[0], shape[1], shape[1]), strict=True)
+    box = [int(np.clip(end - start, 0, size)) for end, start, size in ends]
+    if box == [0, shape[0], 0, shape[1]]:
+        return table
+    return table | {"background": grey(seen.behind), "outline": box}
+
+
+def _chart_target(work: Drafting, chart: ChartPose, moved: tuple[int, int], shape: tuple[int, int]) -> str:
     """The name of the chart's table: that of another shot where it stands at the very same place."""
     boxes = [(r0 - moved[0], r1 - moved[0], c0 - moved[1], c1 - moved[1]) for r0, r1, c0, c1 in chart.boxes]
     name = f"chart_{1 + sum(target.table['kind'] == 'chart' for target in work.targets):02d}"
@@ -137,7 +158,7 @@ def _chart_target(work: Drafting, chart: ChartPose, moved: tuple[int, int]) -> s
     )
     patches = tuple(zip(chart.names, boxes, reflectance, strict=True))
     comment = f"patches are {chart.side:.3f} of their pitch; centres agree with one plane to {chart.error_px:.2f} px"
-    table: dict[str, object] = {"kind": "chart", "margin_px": chart.margin_px, "surround": 0.05}
+    table: dict[str, object] = {"kind": "chart", "margin_px": chart.margin_px, "surround": 0.05} | _surround(chart, moved, shape)
     if chart.disks:
         comment = "reflectances are read off the picture, the sheet taken for its brightest; they differ from light to light"
         table["surround"] = max(chart.reflectances)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
 from isetval.core.sensor import RoiLike
+from isetval.files.chart_surround import ChartSurround, chart_surround, color_sites
 from isetval.files.target_search import upright_box
 
 Float = NDArray[np.float64]
@@ -36,7 +37,7 @@ class ChartPose:
     pitches; ``outliers`` counts patches whose centre the projection does not explain; ``error_px`` is the rms distance
     of the others.  ``white`` is the number of its brightest patch; ``middles_px`` (n, 2; row, col) are the middles of the
     patches ``seen``, as their borders tell.  A sheet of disks has ``disks``, a box around each, patches in and between them,
-    and ``reflectances`` that were read off the picture.
+    and ``reflectances`` that were read off the picture.  ``surround`` is what lies between and around a chart's patches.
     """
 
     names: tuple[str, ...]
@@ -54,6 +55,7 @@ class ChartPose:
     reflectances: tuple[float, ...] = ()
     seen: tuple[int, ...] = ()
     middles_px: Float | None = None
+    surround: ChartSurround | None = None
 
 
 @dataclass(frozen=True)
@@ -124,10 +126,11 @@ def register_chart(capture: Capture) -> ChartPose:
     left, right = (model(np.array(ends, float)) for ends in ([[0, 0], [0, 3]], [[5, 0], [5, 3]]))
     lengths = [float(np.hypot(*np.diff(ends, axis=0)[0])) for ends in (left, right, top, bottom)]
     direction = along[1] - along[0]
+    levels = patch_levels(capture, boxes)
     return ChartPose(
         PATCH_NAMES,
         boxes,
-        patch_levels(capture, boxes),
+        levels,
         np.asarray(model.params, dtype=float),
         side,
         float(np.degrees(np.arctan2(direction[1], direction[0]))),
@@ -137,6 +140,7 @@ def register_chart(capture: Capture) -> ChartPose:
         margin,
         seen=tuple(seen),
         middles_px=pixels[:, ::-1],
+        surround=chart_surround(capture, model, side, levels[18]),
     )
 
 
@@ -238,7 +242,7 @@ def _patch_borders(capture: Capture, model: object, grid: Float) -> Float:
 
     bin_px = 1 if capture.sensor.cfa == "MONO" else 2
     picture = preview(capture, bin_px)
-    sites = _sites(capture.sensor.cfa)
+    sites = color_sites(capture.sensor.cfa)
     across = np.linspace(-0.25, 0.25, 11)
     out = np.full((len(grid), 4), np.nan)
     top = float(np.percentile(picture, 99.5))
@@ -276,13 +280,6 @@ def _between_borders(borders: Float) -> dict[int, Float]:
     right, down, left, up = borders.T
     shifts = np.stack([right - left, down - up], axis=1) / 2
     return {i: shift for i, shift in enumerate(shifts) if np.isfinite(shift).all()}
-
-
-def _sites(cfa: str) -> Float:
-    """Mean place (3, 2; row, col) of the samples of R, G, B in a cell of the preview, in pixels."""
-    if cfa == "MONO":
-        return np.zeros((3, 2))
-    return np.array([np.mean([divmod(i, 2) for i, c in enumerate(cfa) if c == color], axis=0) for color in "RGB"])
 
 
 def register_edges(capture: Capture) -> tuple[tuple[EdgePose, ...], tuple[tuple[RoiLike, str], ...]]:

@@ -413,6 +413,27 @@ def test_boxes_of_a_tilted_chart_lie_inside_its_patches(tilted):
     assert np.abs(np.array(found.boxes) - _upright(pose)).max() <= 2
 
 
+def test_the_board_of_a_chart_and_what_is_behind_it_are_read_off_the_picture(tmp_path, tilted):
+    """A black board that ends .7 pitches beyond the outer middles, on a grey table; patches as before."""
+    from isetval.files.registration import register_chart
+
+    pose, color = tilted
+    rows, cols = color.shape[:2]
+    y, x = np.mgrid[0:rows, 0:cols]
+    grid = pose.inverse(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(rows, cols, 2)
+    on_board = ((grid > -0.7) & (grid < [5.7, 3.7])).all(axis=2)
+    white = 0.884  # of the green of the white patch, to which shares are
+    seen = register_chart(isetval.Capture.from_array(_codes(np.where(on_board[..., None], color, 0.25), 3000), bits=10)).surround
+    assert seen.board == pytest.approx(0.03 / white, rel=0.15)
+    assert seen.behind == pytest.approx(0.25 / white, rel=0.03)
+    ends = pose(np.array([[-0.7, -0.7], [5.7, -0.7], [5.7, 3.7], [-0.7, 3.7]]))
+    true = (ends[:2, 1].mean(), ends[2:, 1].mean(), ends[[0, 3], 0].mean(), ends[1:3, 0].mean())
+    np.testing.assert_allclose(seen.outline, true, atol=2)
+    endless = register_chart(isetval.Capture.from_array(_codes(color, 3000), bits=10)).surround
+    assert endless.board == pytest.approx(0.03 / white, rel=0.15)
+    assert endless.behind is endless.outline is None
+
+
 def test_names_carry_wavelength_and_time_and_a_chart_lends_its_pose(tmp_path, tilted):
     """TIFFs with a sidecar: a chart under two narrow lights; one shows little, one exposure is too short to see anything."""
     import tifffile
