@@ -190,6 +190,10 @@ class Effect:
         """The physical parameters, in order."""
         return _parameters_of(cls)  # type: ignore[arg-type]  # a class is hashable (mypy 11469)
 
+    def own_parameters(self) -> tuple[ParameterInfo, ...]:
+        """The physical parameters with the bounds of a diagnosis, from where the effect stands."""
+        return self.parameters()
+
     @classmethod
     def files(cls) -> tuple[str, ...]:
         """Names of the fields that name files."""

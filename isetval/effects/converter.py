@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, FreeAxis, parameter
+from isetval.core.effect import Effect, FreeAxis, ParameterInfo, parameter
 from isetval.core.sensor import black_at
 from isetval.core.signal import Signal
 
@@ -222,6 +222,10 @@ class Quantization(Effect):
     reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4"
 
     step_dn: float = parameter(0.0, unit="DN", low=0.0, high=256.0, tau=1.0, doc="step of the converter (0: no rounding)")
+
+    def own_parameters(self) -> tuple[ParameterInfo, ...]:
+        """A converter in whole codes has no step below one: nothing in a file would show it."""
+        return tuple(replace(p, low=1.0) if self.step_dn >= 1 else p for p in self.parameters())
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Round and limit."""

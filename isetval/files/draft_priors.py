@@ -125,7 +125,7 @@ def target_priors(roles: set[str], *, tilt: float | None = None, colors_known: b
             DraftPrior("edge_shift_px", 0.3, "px", "set-up", "the pose was found in the files to about .05 px", ("edge",)),
             DraftPrior("edge_angle_deg", 0.1, "deg", "set-up", "and to about .05 degrees", ("edge",)),
             DraftPrior(
-                "dark_reflectance", 0.01, "reflectance", "measurement session", "the dark side was read off the files", ("edge",)
+                "dark_reflectance", 0.01, "reflectance", "set-up", "the dark side was read off one of the files", ("edge",)
             ),
         ]
     if "chart" in roles:

@@ -134,7 +134,8 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Seque
             continue
         standing = model.effect(name)
         if standing is not None:
-            out.append(Candidate(name, standing, parameters, True))
+            bounded = tuple(p for p in standing.own_parameters() if p.tau is not None and not p.shape)
+            out.append(Candidate(name, standing, bounded, True))
             continue
         without_angle = cls.for_unstated_chief_ray if chief_ray else cls.needs_chief_ray
         if any(f for f in cls.files()) or name in contained or without_angle:

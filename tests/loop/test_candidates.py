@@ -75,3 +75,12 @@ def test_a_gain_that_is_switched_on_may_be_so_between_any_two_exposures(model):
     forms = [c for c in candidates_for(model, (), gaps_of(plan)) if c.klass == "digital_gain"]
     assert [c.effect.above_s for c in forms] == pytest.approx([0.02, 0.06])
     assert {c.prior_weight for c in forms} == {0.5}
+
+
+def test_a_converter_in_whole_codes_can_only_be_coarser(model):
+    """Its signature is that of noise with the other sign: a step of .9 would stand for .7 e- of read noise."""
+    found = {c.name: c for c in candidates_for(model)}
+    assert found["quantization"].nominal == 1.0
+    assert found["quantization"].only_side == 1.0
+    coarse = model.with_values({"quantization.step_dn": 2.0})
+    assert next(c for c in candidates_for(coarse) if c.name == "quantization").only_side == 0.0
