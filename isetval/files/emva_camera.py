@@ -35,6 +35,7 @@ SYMBOLS = {
 
 # their sigma says whether there is such a pattern at all; other numbers every camera has
 PATTERNS = ("dsnu_e", "dsnu_row_e", "dsnu_column_e", "prnu_percent", "dark_current_e_per_s")
+SPREADS = (0.01, 5.0)  # bounds of the effect's spread
 CLEAR = 3.0  # sigmas above which a part of the pattern is taken into the model
 
 
@@ -111,6 +112,15 @@ def _steps(found: Mapping[str, float], told: dict[str, Any], guessed: dict[str, 
     ]
 
 
+def _uneven_dark_current(found: Mapping[str, float], told: Mapping[str, Any]) -> list[Step]:
+    """Spread over the pixels in units of the mean, where both are known: then the lowest rate is zero, and none is below."""
+    sigma, mean = found.get("dark_current_nonuniformity_e_per_s"), found.get("dark_current_e_per_s", 0.0)
+    if sigma is None:
+        return []
+    relative = {"spread": float(np.clip(sigma / mean, *SPREADS))} if mean > 0 else {}
+    return [("dark_current_nonuniformity", {"sigma_e_per_s": sigma, **relative, **told})]
+
+
 def sensor_steps(found: Mapping[str, float], told: Mapping[str, Any]) -> list[Step]:
     """Effects behind the colour filters, in order, with their parameters; ``told`` is said of each that ``found`` gives."""
 
@@ -121,7 +131,7 @@ def sensor_steps(found: Mapping[str, float], told: Mapping[str, Any]) -> list[St
     return [
         *given("prnu_percent", "prnu", "sigma_percent"),
         *given("dark_current_e_per_s", "dark_current", "rate_e_per_s"),
-        *given("dark_current_nonuniformity_e_per_s", "dark_current_nonuniformity", "sigma_e_per_s"),
+        *_uneven_dark_current(found, told),
         ("shot_noise", {"source": "law: Poisson statistics"}),
         *given("well_e", "full_well", "well_e"),
         *given("dsnu_e", "dsnu", "sigma_e"),

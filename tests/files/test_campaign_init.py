@@ -309,6 +309,7 @@ def test_a_folder_without_a_camera_gets_one_from_its_darks_and_flats(tmp_path, c
         effect = model.effect(name)
         assert next(iter(effect.values().values())) == pytest.approx(planted, rel=0.02)
         assert effect.fitted_to == (f"{tmp_path.name}/A",)
+    assert model.value("dark_current_nonuniformity.spread") == pytest.approx(0.5, rel=0.03)
     table = isetval.compare(model, campaign, jobs=1).ladder
     flats = next(row for row in table if row.family == "flat_mean")  # the colour of the light is taken over
     assert flats.rms_relative_error < 0.01
