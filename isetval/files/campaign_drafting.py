@@ -6,15 +6,18 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from isetval.camera.model import CameraModel
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Sensor, Window
 from isetval.files.chart_drafting import add_charts
 from isetval.files.draft_types import DraftShot, DraftTarget, Seen
-from isetval.files.drafting import Drafting, add_light, cut, is_large, placed, setup_of, shot_name
+from isetval.files.drafting import UNNAMED, Drafting, add_light, cut, is_large, placed, setup_of, shot_name
 from isetval.files.file_facts import LEVEL_STEP
 from isetval.files.light_levels import (
     LitSetup,
+    color_of,
     dark_levels,
     green_dn,
     green_rate,
@@ -25,6 +28,7 @@ from isetval.files.registration import EdgePose
 from isetval.files.shot_grouping import ShotGroup, repeats
 from isetval.files.spectra_search import FolderSpectra
 
+SAME_COLOR = 0.02  # of a plane over green: neutral cards are neutral to a percent, lamps of one kind differ by several
 BRIGHT = 0.8  # reflectance of an edge's bright side where no flat tells
 MIDDLE_PART_PX, FIELD_PART_PX = 256, 64  # darks and flats share the middle, so that read noise and gain belong together
 FIELD_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.5), (0, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5),
@@ -55,6 +59,7 @@ def drafted(
     for name, group in references.items():
         share = middle_share(group)
         work.rates[name] = share * green_rate(group, dark_dn)
+        work.colors[name] = color_of(group, dark_dn)
         add_light(work, name, group, share * green_dn(group))
     seen_whole = _across_the_field(setups)
     for setup in setups:
@@ -118,7 +123,7 @@ def _add_plain(
 
 def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[float | None, float]) -> None:
     edges = work.seen[index].content.edges
-    light = group.words.light or (next(iter(work.rates)) if len(work.rates) == 1 else "light")
+    light = group.words.light or _unnamed_light(work, group, dark_dn)
     time_s, iso = group.first.exposure.time_s, (group.first.exposure.iso or 100.0) / 100.0
     dark = dark_dn.get(time_s, 0.0)
     setup = setup_of(group)
@@ -136,6 +141,15 @@ def _add_edges(work: Drafting, index: int, group: ShotGroup, dark_dn: Mapping[fl
         comment = f"pose found to {edge.sigma_px:.3f} px; both reflectances are read off the picture, by {source}"
         work.targets.append(_edge_target(name, edge, part, window, moved, (low / white, bright / white), comment))
         work.add(index, DraftShot(name, "edge", group, part, setup, work.seen[index].content.why, light, level, name))
+
+
+def _unnamed_light(work: Drafting, group: ShotGroup, dark_dn: Mapping[float | None, float]) -> str:
+    """The flats' light, where there is one and the picture, of greys, has its colour; else one that nobody has named."""
+    if len(work.rates) != 1:
+        return UNNAMED
+    ((name, theirs),) = work.colors.items()
+    own = color_of(group, dark_dn)
+    return name if own.shape == theirs.shape and np.abs(own / theirs - 1).max() < SAME_COLOR else UNNAMED
 
 
 def _edge_target(

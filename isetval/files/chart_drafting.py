@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.core.scene import band_limited
 from isetval.files.draft_types import DraftLight, DraftShot, DraftTarget
-from isetval.files.drafting import Drafting, add_light, cut, placed, setup_of, shot_name
+from isetval.files.drafting import UNNAMED, Drafting, add_light, cut, placed, setup_of, shot_name
 from isetval.files.registration import ChartPose
 from isetval.files.shot_grouping import ShotGroup
 from isetval.files.spectra_search import chart_reflectances
@@ -28,8 +28,8 @@ def add_charts(work: Drafting, groups: Sequence[ShotGroup], number: Mapping[int,
 
     Exposures of one set-up share a level: that of its brightest white that does not clip.
     """
-    for light in dict.fromkeys(group.words.light or "light" for group in groups):
-        own = [group for group in groups if (group.words.light or "light") == light]
+    for light in dict.fromkeys(group.words.light or UNNAMED for group in groups):
+        own = [group for group in groups if (group.words.light or UNNAMED) == light]
         white: dict[str, tuple[float, ShotGroup]] = {}
         poses = [(work.seen[number[id(group)]].content.chart, group) for group in own]
         channel = _brightest_channel(poses) if own[0].first.wavelength_nm else 1

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from isetval.camera.model import CameraModel
 from isetval.core.scene import Spectrum, band_limited, narrow_band
 from isetval.core.sensor import RoiLike, Sensor, Window, pattern_at
@@ -18,6 +21,7 @@ from isetval.files.light_levels import (
 from isetval.files.shot_grouping import ShotGroup
 from isetval.files.spectra_search import FolderSpectra, band_limits
 
+UNNAMED = "light"  # of pictures whose light nobody has named and no flat is of
 LARGE_PX = 1_000_000  # frames beyond are looked at in parts: a fit shoots every pixel of a plan a hundred times
 BAND_NM = 10.0  # full width of the filters that laboratories buy for narrow bands; a measured table takes its place
 SURROUND_PX = 24  # of a registered region: what its lens blurs into it
@@ -37,6 +41,7 @@ class Drafting:
     lights: dict[str, DraftLight] = field(default_factory=dict)
     made: dict[int, list[str]] = field(default_factory=dict)
     rates: dict[str, float] = field(default_factory=dict)
+    colors: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     tilts: list[float | None] = field(default_factory=list)
     priors: list[DraftPrior] = field(default_factory=list)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.model import CameraModel
@@ -47,6 +48,13 @@ def green_rate(group: ShotGroup, dark_dn: Mapping[float | None, float]) -> float
     """Green level above the darks over exposure and ISO/100, DN/s."""
     time_s = group.first.exposure.time_s
     return (green_dn(group) - dark_dn.get(time_s, 0.0)) / (time_s or 1.0) / ((group.first.exposure.iso or 100.0) / 100.0)
+
+
+def color_of(group: ShotGroup, dark_dn: Mapping[float | None, float]) -> NDArray[np.float64]:
+    """Levels of the planes above the darks over that of the green ones, (planes,)."""
+    levels = np.mean([fact.levels_dn for fact in group.facts], axis=0) - dark_dn.get(group.first.exposure.time_s, 0.0)
+    green = float(np.mean([levels[k] for k in GREENS[len(levels)]]))
+    return np.asarray(levels / max(green, 1e-9))
 
 
 def dark_levels(darks: Sequence[ShotGroup]) -> dict[float | None, float]:

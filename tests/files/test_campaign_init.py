@@ -325,6 +325,19 @@ def test_a_drafted_camera_has_the_lens_that_exif_states(tmp_path):
     assert all(model.effect(name).source.startswith(("stated", "law")) for name in ("aperture", "diffraction", "cos4"))
 
 
+def test_edges_that_have_not_the_colour_of_the_flats_are_in_a_light_of_their_own(tmp_path):
+    _electrons_of_a_lab(tmp_path, flats=(100.0, 300.0, 900.0, 2000.0))
+    y, x = np.mgrid[0:160, 0:200]
+    edge = np.where((x - 100) * np.cos(0.09) - (y - 80) * np.sin(0.09) < 0, 100.0, 1500.0)
+    for k, (folder, red) in enumerate((("bench", 0.6), ("window", 0.66))):
+        color = np.tile(np.array([[red, 1.0], [1.0, 1.5]]), (80, 100))
+        for i in range(2):
+            _write(tmp_path / folder / f"{i}.dng", edge * color, 0.02, 200 + 10 * k + i)
+    assert main(["campaign", "init", str(tmp_path), "-q"]) == 0
+    lights = {s.files[0].split("/")[0]: s.light for s in isetval.load_campaign(tmp_path).shots if s.role == "edge"}
+    assert lights == {"bench": "sphere", "window": "light"}
+
+
 def test_no_camera_is_made_of_too_little_and_none_is_overwritten(tmp_path, capsys):
     _electrons_of_a_lab(tmp_path, flats=(300.0, 900.0))
     assert main(["campaign", "init", str(tmp_path)]) == 0
