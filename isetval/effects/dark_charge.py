@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,8 @@ from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.signal import Signal
 from isetval.effects.electrons import own, rare_pixels
+
+WIDEST = 10.0  # sigma over mean of uneven dark current: beyond it a few hot pixels hold all of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +120,8 @@ class AmpGlow(Effect):
 class DarkCurrentNonuniformity(Effect):
     """Dark current that differs from pixel to pixel (DCNU): a fixed pattern that grows with the exposure time.
 
-    dsnu does not grow; hot_pixels are few and far out.  Rates are log-normal about their mean, which stays: the lowest pixel
-    has a rate of the mean less sigma / spread.  No pixel loses charge: with a spread below sigma over the mean rate some stand
-    at zero, and the mean rises.
+    dsnu does not grow; hot_pixels are few and far out.  Rates are log-normal about their mean, which stays.  The lowest pixel
+    lies sigma / spread below it: where that is more than there is, the spread is as much wider as leaves that pixel nothing.
     """
 
     name = "dark_current_nonuniformity"
@@ -137,7 +137,7 @@ class DarkCurrentNonuniformity(Effect):
         "amp_glow",
     )
     free = FreeAxis("exposure", "strength", 0.5)
-    equation = "max(0, mu + sigma t (exp(s z - s^2/2) - 1)/c), s^2 = ln(1 + c^2), z fixed unit normals"
+    equation = "mu + sigma t (exp(s z - s^2/2) - 1)/c, s^2 = ln(1 + c^2), c at least sigma t / mu, z fixed unit normals"
     reference = "Konnik & Welsh, arXiv:1412.4031 (2014), sec. 3 (dark-current fixed-pattern noise, log-normal)"
     must_not_change = ("edge",)
 
@@ -149,12 +149,13 @@ class DarkCurrentNonuniformity(Effect):
         charge = self.sigma_e_per_s * context.time_s()
         if not charge:
             return signal
-        s = math.sqrt(math.log1p(self.spread**2))
         values = signal.values
-        pattern = own(np.expm1(s * context.fixed_normal() - s * s / 2), values)
-        pattern *= charge / self.spread
-        pattern += values
-        return signal.with_values(np.maximum(pattern, 0.0))
+        held = np.maximum(values[0], 0.0)  # what each pixel has to lose, (rows, cols) or (1, 1)
+        charge = np.minimum(charge, WIDEST * held)
+        spread = np.maximum(self.spread, charge / np.maximum(held, 1e-9))
+        s = np.sqrt(np.log1p(spread**2))
+        pattern = charge / spread * np.expm1(s * context.fixed_normal() - s * s / 2)
+        return signal.with_values(own(pattern, values) + values)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -66,7 +66,10 @@ def test_uneven_dark_current_is_log_normal_keeps_its_mean_and_grows_with_time(pl
     assert extra.min() > -1.5 * 2 / 0.5  # the pixel without dark current
     twice = run(effect, charge(20), place(effect, exposure=Exposure(time_s=4.0), frame=5)) - 20
     np.testing.assert_allclose(twice, 2 * extra, atol=1e-4)
-    assert run(effect, charge(1), place(effect, exposure=Exposure(time_s=4.0))).min() == 0
+    few = run(effect, charge(1), place(effect, exposure=Exposure(time_s=4.0)))  # 6 e- rms about a mean of 1
+    assert few.min() >= 0
+    assert few.mean() == pytest.approx(1, abs=0.2)  # it does not look like more dark current
+    assert run(effect, charge(0), place(effect, exposure=Exposure(time_s=4.0))).max() == 0
 
 
 def test_hot_pixels_are_the_stated_fraction_with_exponential_rates(place, charge):
