@@ -19,6 +19,37 @@ CLEAR = 0.02  # of the white patch: a table or wall that differs by less from th
 
 
 @dataclass(frozen=True, eq=False)
+class ColorReader:
+    """Reads R, G, B above black between the samples of a picture: ``picture`` (rows, cols, 3), of cells of ``cell_px`` pixels.
+
+    ``sites`` (3, 2; row, col) are the mean places of the samples of each color in a cell, in pixels.
+    """
+
+    picture: Float
+    cell_px: int
+    sites: Float
+
+    @classmethod
+    def of(cls, capture: Capture) -> ColorReader:
+        """Of a capture; a full frame is binned once."""
+        from isetval.measure.color.chart_finding import preview
+
+        cfa = capture.sensor.cfa
+        if cfa == "MONO":
+            return cls(preview(capture, 1), 1, np.zeros((3, 2)))
+        sites = [np.mean([divmod(i, 2) for i, c in enumerate(cfa) if c == color], axis=0) for color in "RGB"]
+        return cls(preview(capture, 2), 2, np.array(sites))
+
+    def __call__(self, places_px: Float) -> Float:
+        """Levels (n, 3) at places (n, 2; column, row) in pixels, linear between samples."""
+        from scipy.ndimage import map_coordinates
+
+        places = [(places_px[:, ::-1] - site).T / self.cell_px for site in self.sites]
+        each = [map_coordinates(self.picture[..., k], at, order=1, mode="nearest") for k, at in enumerate(places)]
+        return np.stack(each, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
 class ChartSurround:
     """How bright the board between patches and what is behind the chart are, in shares of the white patch; the board's box.
 
@@ -30,39 +61,40 @@ class ChartSurround:
     outline: RoiLike | None = None
 
 
-def chart_surround(capture: Capture, to_pixels: Callable[[Float], Float], side: float, white_dn: Float) -> ChartSurround | None:
+def chart_surround(see: ColorReader, to_pixels: Callable[[Float], Float], side: float, white_dn: Float) -> ChartSurround | None:
     """The surround of a registered 24-patch chart, or None where the gaps are too narrow to tell.
 
     Parameters
     ----------
-    capture : Capture
+    see : ColorReader
+        Of the picture.
     to_pixels : callable
         Projects (n, 2; column, row) in patch pitches, the first patch's middle at (0, 0), to pixels.
     side : float
         Of a patch, in pitches.
     white_dn : array (3,)
-        R, G, B of the white patch above black; shares are the median of the three.
+        R, G, B of the white patch above black; a share is the factor of it that comes nearest: colors that a narrow light leaves
+        without signal say nothing.
     """
-    see = _reader(capture, to_pixels)
     pitch = float(np.median(np.hypot(*np.diff(to_pixels(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])), axis=0).T)))
-    if (1 - side) * pitch < LEAST_GAP_PX:
+    if (1 - side) * pitch < LEAST_GAP_PX or not white_dn.max() > 0:
         return None
     # where gaps cross, patches are farthest: the middle half of each crossing
     near = (1 - side) / 4 * np.linspace(-1, 1, 5)
     crossings = np.array(
         [[i + 0.5 + dx, j + 0.5 + dy] for i in range(COLUMNS - 1) for j in range(ROWS - 1) for dx in near for dy in near]
     )
-    board = np.median(see(crossings), axis=0)
+    board = np.median(see(to_pixels(crossings)), axis=0)
 
     def share(level_dn: Float) -> float:
-        return float(np.median(level_dn / white_dn))
+        return float(level_dn @ white_dn / (white_dn @ white_dn))
 
     ends, behind = [], []
     for along, rim in _rims():
         start = rim + side / 2 * along
         across = 0.25 * along[::-1] * np.linspace(-1, 1, 5)[:, None]
         rays = start[:, None, None] + across[None, :, None] + BEYOND[:, None] * along
-        profile = np.median(see(rays.reshape(-1, 2)).reshape(-1, BEYOND.size, 3), axis=0)
+        profile = np.median(see(to_pixels(rays.reshape(-1, 2))).reshape(-1, BEYOND.size, 3), axis=0)
         found = _end_of_board(profile, board, CLEAR * float(white_dn.max()))
         ends.append(side / 2 + (BEYOND[-1] if found is None else found[0]))
         behind += [] if found is None else [found[1]]
@@ -95,31 +127,4 @@ def _end_of_board(profile: Float, board: Float, clear_dn: float) -> tuple[float,
     if abs(behind[k] - board[k]) < clear_dn:
         return None
     share = (profile[:, k] - board[k]) / (behind[k] - board[k])
-    return float(BEYOND[int(np.flatnonzero(share < 0.5)[-1]) + 1 if np.any(share < 0.5) else 0]), behind
-
-
-def color_sites(cfa: str) -> Float:
-    """Mean place (3, 2; row, col) of the samples of R, G, B in a cell of the preview, in pixels."""
-    if cfa == "MONO":
-        return np.zeros((3, 2))
-    return np.array([np.mean([divmod(i, 2) for i, c in enumerate(cfa) if c == color], axis=0) for color in "RGB"])
-
-
-def _reader(capture: Capture, to_pixels: Callable[[Float], Float]) -> Callable[[Float], Float]:
-    """R, G, B above black, (n, 3), at places (n, 2) in pitches."""
-    from scipy.ndimage import map_coordinates
-
-    from isetval.measure.color.chart_finding import preview
-
-    bin_px = 1 if capture.sensor.cfa == "MONO" else 2
-    picture, sites = preview(capture, bin_px), color_sites(capture.sensor.cfa)
-
-    def see(points: Float) -> Float:
-        places = to_pixels(points)[:, ::-1]
-        each = [
-            map_coordinates(picture[..., k], ((places - site) / bin_px).T, order=1, mode="nearest")
-            for k, site in enumerate(sites)
-        ]
-        return np.stack(each, axis=1)
-
-    return see
+    return float(BEYOND[int(np.argmax(share >= 0.5))]), behind

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture
 from isetval.core.errors import MeasurementError
 from isetval.core.sensor import RoiLike
-from isetval.files.chart_surround import ChartSurround, chart_surround, color_sites
+from isetval.files.chart_surround import ChartSurround, ColorReader, chart_surround
 from isetval.files.target_search import upright_box
 
 Float = NDArray[np.float64]
@@ -95,7 +95,8 @@ def register_chart(capture: Capture) -> ChartPose:
     )
     if inliers is None or inliers.sum() < 12:
         raise MeasurementError("a chart was found but its patches do not lie on one plane; flatten it, or give its boxes by hand")
-    borders = _patch_borders(capture, model, grid)
+    see = ColorReader.of(capture)
+    borders = _patch_borders(see, model, grid)
     side = 2 * float(np.nanmedian(borders)) if np.isfinite(borders).sum() >= 8 else 0.8
     seen = _between_borders(borders)
     if len(seen) >= 12:  # the finder projects its middles from four corners: borders tell them to a tenth of a pixel
@@ -140,7 +141,7 @@ def register_chart(capture: Capture) -> ChartPose:
         margin,
         seen=tuple(seen),
         middles_px=pixels[:, ::-1],
-        surround=chart_surround(capture, model, side, levels[18]),
+        surround=chart_surround(see, model, side, levels[18]),
     )
 
 
@@ -230,29 +231,20 @@ def patch_levels(capture: Capture, boxes: Sequence[RoiLike]) -> Float:
     return np.array(out)
 
 
-def _patch_borders(capture: Capture, model: object, grid: Float) -> Float:
+def _patch_borders(see: ColorReader, model: object, grid: Float) -> Float:
     """Distance (24, 4) in pitches from each patch's middle to its border to the right, below, to the left and above.
 
     A border is where the signal from the middle outwards is halfway to what lies between patches, in the colour with most
     contrast; NaN without contrast.
     """
-    from scipy.ndimage import map_coordinates
-
-    from isetval.measure.color.chart_finding import preview
-
-    bin_px = 1 if capture.sensor.cfa == "MONO" else 2
-    picture = preview(capture, bin_px)
-    sites = color_sites(capture.sensor.cfa)
     across = np.linspace(-0.25, 0.25, 11)
     out = np.full((len(grid), 4), np.nan)
-    top = float(np.percentile(picture, 99.5))
+    top = float(np.percentile(see.picture, 99.5))
     for (patch, center), turn in itertools.product(enumerate(grid), range(4)):
         along = np.array([math.cos(turn * math.pi / 2), math.sin(turn * math.pi / 2)])
         points = center + SIDE_STEPS[:, None, None] * along + across[None, :, None] * along[::-1]
-        pixels = model(points.reshape(-1, 2)).reshape(*points.shape)[..., ::-1]  # type: ignore[operator]
-        places = [np.moveaxis((pixels - site) / bin_px, -1, 0) for site in sites]
-        colors = [map_coordinates(picture[..., k], place, order=1, mode="nearest") for k, place in enumerate(places)]
-        ray = np.array(colors).mean(axis=2)
+        levels = see(model(points.reshape(-1, 2)))  # type: ignore[operator]
+        ray = levels.reshape(*points.shape[:2], 3).mean(axis=1).T
         inner, outer = ray[:, SIDE_STEPS < 0.25].mean(axis=1), ray[:, -1]
         k = int(np.argmax(np.abs(inner - outer)))
         if abs(inner[k] - outer[k]) < LEAST_CONTRAST * top:

@@ -443,6 +443,10 @@ def test_the_board_of_a_chart_and_what_is_behind_it_are_read_off_the_picture(tmp
     ends = pose(np.array([[-0.7, -0.7], [5.7, -0.7], [5.7, 3.7], [-0.7, 3.7]]))
     true = (ends[:2, 1].mean(), ends[2:, 1].mean(), ends[[0, 3], 0].mean(), ends[1:3, 0].mean())
     np.testing.assert_allclose(seen.outline, true, atol=2)
+    red = np.where(on_board[..., None], color, 0.25) * [1.0, 0.004, 0.002]  # as a narrow band leaves it: noise in two colors
+    starved = register_chart(isetval.Capture.from_array(_codes(red, 3000), bits=10)).surround
+    assert starved.board == pytest.approx(0.03 / white, rel=0.2)
+    assert starved.behind == pytest.approx(0.25 / white, rel=0.05)
     endless = register_chart(isetval.Capture.from_array(_codes(color, 3000), bits=10)).surround
     assert endless.board == pytest.approx(0.03 / white, rel=0.15)
     assert endless.behind is endless.outline is None
