@@ -13,7 +13,7 @@ from isetval.camera.model import CameraModel
 from isetval.camera.model_file import make_effect
 from isetval.core.campaign import Light, Shot
 from isetval.core.capture import Capture
-from isetval.core.errors import InputError, MeasurementError
+from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor, Window
 from isetval.core.toml import PACKAGE_PREFIX, data_folder
 from isetval.files.captures import FileCaptures
@@ -95,24 +95,8 @@ def _numbers(darks: Sequence[Sequence[Capture]], flats: Sequence[Sequence[Captur
     """Numbers of the series but for the well, whose place the white level takes: that is where codes end."""
     from isetval.measure import emva1288
 
-    dark = [c for part in darks for c in part]
-    found = numbers_of(emva1288([c for part in flats for c in part], dark=dark))
-    uneven = _uneven_dark_current_dn_per_s(dark)
-    if uneven is not None:
-        found["dark_current_nonuniformity_e_per_s"] = uneven / found["gain_dn_per_e"]
+    found = numbers_of(emva1288([c for part in flats for c in part], dark=[c for part in darks for c in part]))
     return {name: value for name, value in found.items() if name != "well_e"}
-
-
-def _uneven_dark_current_dn_per_s(darks: Sequence[Capture]) -> float | None:
-    """Mean over the planes, or None where it does not stand out of its sigma in each of them: one pattern acts on all."""
-    from isetval.measure import dark
-
-    try:
-        each = [plane.dark_current_nonuniformity_dn_per_s for plane in dark(darks).values()]
-    except MeasurementError:
-        return None
-    stands_out = all(q.value > CLEAR * q.total_sigma for q in each)  # nan does not
-    return float(np.mean([q.value for q in each])) if stands_out else None
 
 
 def _optics(sensor: Sensor, group: ShotGroup, captures: FileCaptures) -> list[tuple[str, dict[str, Any]]]:

@@ -14,6 +14,7 @@ from isetval.camera.model_file import make_effect
 from isetval.core.errors import InputError
 from isetval.core.sensor import Sensor
 from isetval.core.writing import write_whole
+from isetval.effects.dark_charge import DarkCurrentNonuniformity
 from isetval.files.emva_datasheet import quantities, recognises
 
 if TYPE_CHECKING:
@@ -31,11 +32,18 @@ SYMBOLS = {
     "dsnu_column_e": ("dsnu1288.column",),
     "prnu_percent": ("prnu1288.pixel", "prnu1288", "prnu"),
     "dark_current_e_per_s": ("mu_c", "u_i", "mu_i", "mu_i.mean"),
+    "dark_current_nonuniformity_e_per_s": ("dcnu.pixel",),
 }
 
 # their sigma says whether there is such a pattern at all; other numbers every camera has
-PATTERNS = ("dsnu_e", "dsnu_row_e", "dsnu_column_e", "prnu_percent", "dark_current_e_per_s")
-SPREADS = (0.01, 5.0)  # bounds of the effect's spread
+PATTERNS = (
+    "dsnu_e",
+    "dsnu_row_e",
+    "dsnu_column_e",
+    "prnu_percent",
+    "dark_current_e_per_s",
+    "dark_current_nonuniformity_e_per_s",
+)
 CLEAR = 3.0  # sigmas above which a part of the pattern is taken into the model
 
 
@@ -117,7 +125,8 @@ def _uneven_dark_current(found: Mapping[str, float], told: Mapping[str, Any]) ->
     sigma, mean = found.get("dark_current_nonuniformity_e_per_s"), found.get("dark_current_e_per_s", 0.0)
     if sigma is None:
         return []
-    relative = {"spread": float(np.clip(sigma / mean, *SPREADS))} if mean > 0 else {}
+    spread = next(p for p in DarkCurrentNonuniformity.parameters() if p.name == "spread")
+    relative = {"spread": float(np.clip(sigma / mean, spread.low, spread.high))} if mean > 0 else {}
     return [("dark_current_nonuniformity", {"sigma_e_per_s": sigma, **relative, **told})]
 
 

@@ -244,6 +244,8 @@ def _dark_rows(darks: Sequence[Capture], roi: RoiLike | None, result: PhotonTran
         squared = Quantity(gain.value**2, 2 * gain.value * gain.sigma, "DN^2/e-")
         by_variance = d.dark_current_variance_dn2_per_s.over(squared, "e-/s")
         yield _row(plane, "dark current from the variance", "mu_c.var", by_variance)
+        uneven = d.dark_current_nonuniformity_dn_per_s.over(gain, "e-/s")
+        yield _row(plane, "dark current non-uniformity, pixel", "DCNU.pixel", uneven, "not of the standard")
 
 
 def signal_to_noise(t: PlaneTransfer, electrons: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
