@@ -42,8 +42,8 @@ class Posterior:
         return dict(zip(subsets, map(float, weight / weight.sum()), strict=True))
 
     @cached_property
-    def members(self) -> dict[str, float]:
-        """Probability that each name is missing, whatever else is."""
+    def _of_each(self) -> dict[str, float]:
+        """Probability that each name is missing, whatever else is: a diagnosis asks for all of them, one by one."""
         found: dict[str, float] = {}
         for subset, chance in self.probabilities().items():
             for name in subset:
@@ -67,6 +67,8 @@ class Posterior:
 
     def of(self, *names: str, width: float = 1.0) -> float:
         """Probability that one or more of these are missing, whatever else is."""
+        if len(names) == 1 and width == 1.0:
+            return self._of_each.get(names[0], 0.0)
         return min(1.0, float(sum(p for s, p in self.probabilities(width).items() if s & set(names))))
 
     def of_class(self, *names: str) -> tuple[float, float, float]:

@@ -110,7 +110,7 @@ def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadlin
 
 
 def _candidate_rows(case: Investigation, beside: Beside) -> tuple[CandidateRow, ...]:
-    rows = [replace(row, posterior=beside.table.members.get(row.name, 0.0)) if row.observable else row for row in case.rows]
+    rows = [replace(row, posterior=beside.table.of(row.name)) if row.observable else row for row in case.rows]
     return tuple(sorted(rows, key=lambda row: row.p_corrected))
 
 
