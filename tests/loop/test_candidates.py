@@ -78,7 +78,7 @@ def test_a_gain_that_is_switched_on_may_be_so_between_any_two_exposures(model):
 
 
 def test_a_converter_in_whole_codes_can_only_be_coarser(model):
-    """Its signature is that of noise with the other sign: a step of .9 would stand for .7 e- of read noise."""
+    """Its signature is that of noise with the other sign: a finer step would stand for read noise."""
     found = {c.name: c for c in candidates_for(model)}
     assert found["quantization"].nominal == 1.0
     assert found["quantization"].only_side == 1.0
