@@ -127,4 +127,6 @@ def _end_of_board(profile: Float, board: Float, clear_dn: float) -> tuple[float,
     if abs(behind[k] - board[k]) < clear_dn:
         return None
     share = (profile[:, k] - board[k]) / (behind[k] - board[k])
-    return float(BEYOND[int(np.argmax(share >= 0.5))]), behind
+    on_board = np.flatnonzero(share < 0.5)  # the blur of a bright patch reaches out over the board's first samples
+    end = min(int(on_board[-1]) + 1, BEYOND.size - 1) if on_board.size else 0
+    return float(BEYOND[end]), behind

@@ -429,6 +429,8 @@ def test_boxes_of_a_tilted_chart_lie_inside_its_patches(tilted):
 
 def test_the_board_of_a_chart_and_what_is_behind_it_are_read_off_the_picture(tmp_path, tilted):
     """A black board that ends .7 pitches beyond the outer middles, on a grey table; patches as before."""
+    from scipy.ndimage import gaussian_filter
+
     from isetval.files.registration import register_chart
 
     pose, color = tilted
@@ -442,6 +444,9 @@ def test_the_board_of_a_chart_and_what_is_behind_it_are_read_off_the_picture(tmp
     assert seen.behind == pytest.approx(0.25 / white, rel=0.03)
     ends = pose(np.array([[-0.7, -0.7], [5.7, -0.7], [5.7, 3.7], [-0.7, 3.7]]))
     true = (ends[:2, 1].mean(), ends[2:, 1].mean(), ends[[0, 3], 0].mean(), ends[1:3, 0].mean())
+    np.testing.assert_allclose(seen.outline, true, atol=2)
+    blurred = gaussian_filter(np.where(on_board[..., None], color, 0.25), (1.5, 1.5, 0))
+    seen = register_chart(isetval.Capture.from_array(_codes(blurred, 3000), bits=10)).surround
     np.testing.assert_allclose(seen.outline, true, atol=2)
     red = np.where(on_board[..., None], color, 0.25) * [1.0, 0.004, 0.002]  # as a narrow band leaves it: noise in two colors
     starved = register_chart(isetval.Capture.from_array(_codes(red, 3000), bits=10)).surround
