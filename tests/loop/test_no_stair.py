@@ -49,3 +49,11 @@ def test_a_smoothing_of_noise_is_no_stair_and_its_weight_comes_back(model, darks
     value, sigma = found.fitted.value(KEY)
     assert sigma < 0.01
     assert abs(value - WEIGHT) < 4 * sigma + 0.01, (value, sigma)
+
+
+def test_a_loss_that_stands_clear_of_none_is_stepped_to_both_sides(model):
+    """Fixed variances go as its square: a step up of twice its value says nothing of their slope where it stands."""
+    (candidate,) = [c for c in candidates_for(model) if c.name == "pdaf_pixels"]
+    key, value = "pdaf_pixels.loss", 0.032
+    assert first_steps(candidate, {key: value}, {key: value / 6})[key] < value
+    assert first_steps(candidate, {key: value}, {key: value / 2})[key] > value  # not told from none: a long step, to one side

@@ -270,6 +270,8 @@ EFFECTS = (
         name="interpixel_capacitance",
         values=_same(alpha="share"),
     ),
-    _effect("alternating_columns", {"share": 0.0008}, OWN, values=lambda p, c: {"gain": p["share"], "offset_dn": 0.0}),
+    _effect(  # more on odd columns; the catalogue's gain is that of the first of each pair
+        "alternating_columns", {"share": 0.0008}, OWN, values=lambda p, c: {"gain": -p["share"], "offset_dn": 0.0}
+    ),
     _effect("amplifier_crosstalk", {"share": 0.003}, OWN, values=_same(share="share")),
 )
