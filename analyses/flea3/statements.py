@@ -157,7 +157,7 @@ def _named(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     )
     found = verdict.get("diagnosis")
     if found:
-        names = ", ".join(f"{e['name']} (posterior {e['posterior']:.2f})" for e in found["effects"]) or "nothing"
+        names = "; ".join(map(_in_words, found["effects"])) or "nothing"
         left = f" Left over: {found['leftover']}." if found["leftover"] else ""
         out.append(
             (
@@ -169,13 +169,22 @@ def _named(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     return out
 
 
+def _in_words(effect: dict[str, Any]) -> str:
+    """An effect with its values and what these captures do not tell it from."""
+    values = ", ".join(f"{name} {p['value']:.3g} +- {p['sigma']:.2g} {p['unit']}" for name, p in effect["parameters"].items())
+    rivals = f"; not to be told from {', '.join(effect['equivalent'])}" if effect["equivalent"] else ""
+    return f"{effect['name']} ({values}; posterior {effect['posterior']:.2f}{rivals})"
+
+
 def _judged(left_out: dict[str, Any]) -> str:
     """Whether what was named lowers the error on captures that were not used."""
     rows = [row for own in left_out.values() for row in own if any(other["model"] == NAMED for other in own)]
     if not rows:
         return "nothing was added, so that no error could fall."
     before, after = (next(row for row in rows if (row["model"] == NAMED) == is_named) for is_named in (False, True))
-    numbers = f"{before['mean_square_z']:.2f} to {after['mean_square_z']:.2f}"
+    numbers = f"{before['mean_square_z']:.2f} to {after['mean_square_z']:.2f} (their rms error from " + (
+        f"{100 * before['rms_relative_error']:.2f} to {100 * after['rms_relative_error']:.2f} %)"
+    )
     fell = after["mean_square_z"] < before["mean_square_z"]
     return f"On captures left out its mean-square z {'falls from' if fell else 'does not fall:'} {numbers}."
 
