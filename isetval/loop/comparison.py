@@ -65,13 +65,14 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel]) -> list[Ladde
     """Mean-square z and relative error per family and model, own nuisances refitted, same seeds on each rung.
 
     The mean square is of residuals whitened within the family, divided by the degrees of freedom that
-    the nuisances leave, so that a true model stands at 1.  Rows that one of the models was fitted to are
+    the nuisances leave it, so that a true model stands at 1.  Rows that one of the models was fitted to are
     counted apart from the others, for all models alike: every rung of a ladder holds the same captures.
     """
     rows = []
     sessions = np.array([m.measurement_session for m in prepared.table.metrics])
     for model in models:
         problem, fit = prepared.settled(model)
+        raw = _raw(problem, fit.jacobian)
         metrics = [problem.predictor.table.metrics[i] for i in problem.keep]
         families = np.array([m.family for m in metrics])
         inside = fitted_to(models, prepared.campaign.name, metrics)
@@ -79,32 +80,30 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel]) -> list[Ladde
             captures = " + ".join(captures_of(prepared.campaign.name, s) for s in dict.fromkeys(sessions[problem.keep][these]))
             for family in ["all", *dict.fromkeys(families[these])] if these.any() else []:
                 mask = these if family == "all" else these & (families == family)
-                mean_square, n = _mean_square(problem, fit, mask, whole=family == "all")
+                mean_square, n = _mean_square(problem, fit, raw, mask)
                 rows.append(
                     LadderRow(model.name, str(family), role, n, mean_square, _relative_error(problem, fit, mask), captures)
                 )
     return rows
 
 
-def _mean_square(problem: Problem, fit: Fit, mask: Mask, *, whole: bool) -> tuple[float, int]:
+def _mean_square(problem: Problem, fit: Fit, raw: Float, mask: Mask) -> tuple[float, int]:
     """Mean square of whitened residuals over that of a true model, and their number.
 
-    Over all families the nuisances' degrees of freedom are taken off.
+    ``raw`` (kept rows, k) is the fit's Jacobian before whitening.  What the fitted unknowns take from these rows is taken off:
+    residuals r = y - J x of y ~ N(0, C + J P J') have the covariance C - J H^-1 J' with H = J' C^-1 J + P^-1.
     """
     n = int(mask.sum())
     rows = problem.keep[mask]
     covariance = problem.covariance[np.ix_(rows, rows)]
     true = _true_mean_square(problem, rows, covariance)
     total = square(fit.residual[rows], covariance)
-    if not whole:
-        return total / n / true, n
-    white = fit.jacobian if mask.all() else whitener(covariance) @ _raw(problem, fit.jacobian)[mask]
-    spent = degrees_spent(white, fit.free)
-    return total / max(n - spent, 1.0) / true, n
+    white = fit.jacobian if mask.all() else whitener(covariance) @ raw[mask]
+    return total / max(n - degrees_spent(white, fit.jacobian, fit.free), 1.0) / true, n
 
 
 def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Float) -> float:
-    """What a true model shows: as its replicas scatter; 1 for rows that are given with their own error bars, and for counts.
+    """What a true model shows: as replicas and what they do not have scatter; 1 for rows given with error bars and for counts.
 
     Rare things that no replica has seen scatter by nothing: single events of 1.2 sigmas would be told as a mean square of 20.
     """
@@ -112,7 +111,9 @@ def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Floa
     own = ~(given_rows(problem.predictor.table) | rare)[rows]
     if not own.any():
         return 1.0
-    expected = expected_mean_square(problem.base.values[:, rows[own]], covariance[np.ix_(own, own)])
+    unseen = problem.unseen[rows[own]]
+    unseen = unseen[:, np.any(unseen, axis=0)]
+    expected = expected_mean_square(problem.base.values[:, rows[own]], covariance[np.ix_(own, own)], unseen)
     return float(np.average([expected, 1.0], weights=[own.sum(), (~own).sum()]))
 
 
@@ -120,7 +121,7 @@ def _raw(problem: Problem, whitened: Float) -> Float:
     """Columns (kept rows, k) before they were whitened."""
     from scipy.linalg import solve_triangular
 
-    return np.asarray(solve_triangular(problem.whiten, whitened, lower=True))
+    return np.asarray(solve_triangular(problem.whiten, whitened, lower=True)) if whitened.size else whitened
 
 
 def _relative_error(problem: Problem, fit: Fit, mask: Mask) -> float:

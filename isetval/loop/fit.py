@@ -123,7 +123,7 @@ def fit(
     """
     free, families = tuple(free), problem.families
     if stated or iterations:
-        first = _descended(problem, start, free, pose or {}, iterations, replace(families, dof=np.inf))
+        first = _descended(problem, start, free, pose or {}, iterations, families.as_stated())
         if stated:
             return first
         if first.chi2 < ALIKE * problem.keep.size:

@@ -61,8 +61,10 @@ def squares(residuals: Float, covariance: Float) -> Float:
     return np.asarray(np.sum(z**2, axis=0))
 
 
-def expected_mean_square(values: Float, covariance: Float) -> float:
+def expected_mean_square(values: Float, covariance: Float, unseen: Float | None = None) -> float:
     """Mean square of z that a true model shows, from replicas ``values`` (replicas, n) and the covariance of a difference.
+
+    ``unseen`` (n, k) are columns of what captures scatter by and replicas do not: light that flickers, for one.
 
     Covariances hold more than an estimator's own noise where that would be singular (an edge's SFR: ten frequencies that
     move in five directions), so that a true model would stand below 1 for ever.  R replicas about their mean hold R - 1
@@ -73,6 +75,8 @@ def expected_mean_square(values: Float, covariance: Float) -> float:
     if replicas < 2:
         return 1.0
     total = float(np.sum(squares((values - values.mean(axis=0)).T, covariance))) * (1 + 1 / replicas)
+    if unseen is not None and unseen.size:
+        total += (replicas - 1) * float(np.sum(squares(unseen, covariance)))
     return float((total + TOWARDS_ONE) / (n * (replicas - 1) + TOWARDS_ONE))
 
 
@@ -95,10 +99,12 @@ def log_determinant(matrix: Float) -> float:
     return float(np.linalg.slogdet(matrix / np.outer(scale, scale))[1] + 2 * np.sum(np.log(scale)))
 
 
-def degrees_spent(jacobian: Float, free: Sequence[Parameter]) -> float:
-    """How many rows the parameters use up: trace of the hat matrix, a parameter held by its prior counting less than one."""
-    gram = jacobian.T @ jacobian
-    return float(np.trace(np.linalg.pinv(hessian(jacobian, free)) @ gram)) if gram.size else 0.0
+def degrees_spent(rows: Float, jacobian: Float, free: Sequence[Parameter]) -> float:
+    """How many of some ``rows`` (n, parameters) the parameters of a fit use up; one held by its prior counts less.
+
+    Rows are whitened, ``jacobian`` (m, parameters) is that of all that was fitted: trace of H^-1 rows' rows.
+    """
+    return float(np.trace(np.linalg.pinv(hessian(jacobian, free)) @ (rows.T @ rows))) if free else 0.0
 
 
 def with_priors(jacobian: Float, free: Sequence[Parameter]) -> tuple[Float, NDArray[np.intp]]:

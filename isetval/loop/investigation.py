@@ -44,7 +44,9 @@ STANDS = 0.7  # sigmas within which a value stands: a choice, below the error th
 WIDER_ROWS = (
     1.5  # scale of a family beyond which its error bars are not those of the hypothesis: 2.5 of the 20 % they are known to
 )
-SAME_WEIGHTS = 0.1  # of an effect, by which its error bars move by 10 % at most, which is as well as they are known (`SCALE_DOF`)
+SAME_WEIGHTS = (
+    0.1  # of an effect, by which its error bars move by 10 % at most, which is as well as the least are known (`SCALE_DOF`)
+)
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked where any two that may stand are closer
 Say = Callable[[str], None]
 

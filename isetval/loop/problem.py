@@ -47,7 +47,8 @@ class Problem:
     """A measured campaign, what a model predicts for it at ``origin``, and the weights of the difference.
 
     ``noise_bias`` and ``color_variance`` are parts of the covariance's diagonal, (metrics,): what is the prediction's and not the
-    captures', and what colors of patches that nobody knows make.
+    captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
+    scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.
     ``steps`` are shortened finite steps of nuisances, by label.
     """
 
@@ -65,6 +66,7 @@ class Problem:
     steps: dict[str, float] = field(default_factory=dict)
     noise_bias: Float | float = 0.0
     color_variance: Float | float = 0.0
+    unseen: Float = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def nominal(self) -> CameraModel:
@@ -189,7 +191,9 @@ def weigh(problem: Problem) -> None:
     covariance = covariance + flicker @ flicker.T + colors @ colors.T
     problem.color_variance = np.sum(colors**2, axis=1)
     problem.noise_bias = _bias_of_noise(problem)
-    covariance = covariance + np.diag(_rounding(problem, np.diag(covariance)) + problem.noise_bias)
+    rounding = _rounding(problem, np.diag(covariance))
+    problem.unseen = np.column_stack([flicker, colors, _each_alone(rounding + problem.base.render)])
+    covariance = covariance + np.diag(rounding + problem.noise_bias)
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
     covariance = covariance * np.outer(rare, rare)
     problem.covariance = covariance
@@ -222,6 +226,14 @@ def _rounding(problem: Problem, variance: Float) -> Float:
     resampled = {shot.name for shot in problem.plan.shots if shot.levels_only}
     rows = np.array([m.shot in resampled for m in table.metrics], bool)
     return np.where(rows, np.maximum(table.sigma**2 - variance, 0.0), 0.0)
+
+
+def _each_alone(variance: Float) -> Float:
+    """Columns (metrics, k) of rows that scatter by a ``variance`` (metrics,) of their own."""
+    rows = np.flatnonzero(variance)
+    columns = np.zeros((variance.size, rows.size))
+    columns[rows, np.arange(rows.size)] = np.sqrt(variance[rows])
+    return columns
 
 
 def _bias_of_noise(problem: Problem) -> Float:

@@ -2,7 +2,7 @@
 
 Whitened residuals are ``y = N nu + sum_k s_k A_k theta_k + e``: nuisances nu under the campaign's priors, effects k in
 (s_k = 1) or out, theta_k ~ N(0, tau_k^2) (half of it where a parameter can only grow), rows of metric family f with
-variance lambda_f, which is known only as well as stated error bars are (`SCALE_DOF`).  Nuisances and theta are integrated
+variance lambda_f, which is known only as well as stated error bars are (`family_scales`).  Nuisances and theta are integrated
 in closed form, lambda by Laplace, which is exact for the Student t that it gives.  See ``docs/detective.md``.
 """
 
@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.loop.family_scales import SCALE_DOF, SCALE_SETTLED, SCALE_TURNS
+from isetval.loop.family_scales import SCALE_SETTLED, SCALE_TURNS, dof_of
 
 Float = NDArray[np.float64]
 Subset = tuple[int, ...]
@@ -50,7 +50,8 @@ class LinearModel:
     """Data of the sum: residual ``z`` and columns of all that is free in every subset (rows, p), whitened; families of the rows.
 
     Those columns are per prior sigma, or per any unit where there is none (``held`` (p,) False); ``pulls`` (p,) is where
-    they stand, prior sigmas off; ``side`` (p,) says which can only grow or fall.
+    they stand, prior sigmas off; ``side`` (p,) says which can only grow or fall.  ``scale_dof`` (families,) says how well their
+    error bars are known, where not `dof_of` does.
     """
 
     z: Float
@@ -60,10 +61,11 @@ class LinearModel:
     side: Float
     families: NDArray[np.str_]
     terms: tuple[Term, ...]
-    scale_dof: float = SCALE_DOF
+    scale_dof: Float | None = None
     grams: Float = field(init=False)
     counts: Float = field(init=False)
     prior: Float = field(init=False)
+    dof: Float = field(init=False)
     places: tuple[NDArray[np.intp], ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -81,6 +83,7 @@ class LinearModel:
         object.__setattr__(self, "grams", np.array([part.T @ part for part in parts]))
         object.__setattr__(self, "counts", np.array([float(len(part)) for part in parts]))
         object.__setattr__(self, "prior", prior)
+        object.__setattr__(self, "dof", dof_of(names) if self.scale_dof is None else self.scale_dof)
         object.__setattr__(self, "places", tuple(np.arange(a, b) for a, b in pairwise(ends)))
 
     def columns(self, subset: Subset) -> NDArray[np.intp]:
@@ -110,7 +113,7 @@ def weigh(model: LinearModel, subset: Subset, scales: Float | None = None, *, fi
     """
     use = model.columns(subset)
     scales = np.ones(model.counts.size) if scales is None else scales
-    dof, counts = model.scale_dof, model.counts
+    dof, counts = model.dof, model.counts
     pick, last = np.ix_(use, use), -1
     inner = np.array([gram[pick] for gram in model.grams])
     cross, square = model.grams[:, use, last], model.grams[:, last, last]
@@ -138,7 +141,7 @@ def at_scales(model: LinearModel, subset: Subset, scales: Float, *, fitted: bool
     x = np.zeros(use.size) if fitted else inverse @ cross
     cost = total[last, last] - cross @ x
     log_z = -0.5 * cost - 0.5 * float(np.linalg.slogdet(hessian)[1])
-    log_z -= 0.5 * float(np.sum(model.counts * np.log(scales) + model.scale_dof * (np.log(scales) + 1 / scales - 1)))
+    log_z -= 0.5 * float(np.sum(model.counts * np.log(scales) + model.dof * (np.log(scales) + 1 / scales - 1)))
     side = np.concatenate([model.side, *(model.terms[i].side for i in subset)])
     stands = x + np.concatenate([model.pulls, np.zeros(use.size - p)])
     log_z += float(np.sum(log_half(side * stands, np.diag(inverse))[side != 0]))

@@ -91,6 +91,7 @@ def test_published_curve_is_diagnosed_from_the_command_line(folder, found):
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="a whole tolerance of the film moves the curve by less than it was read to")
 def test_the_film_is_excluded_beside_the_loss(found):
     """The last line fails: beside the loss the film keeps what one of a dozen suspects had before the curve was seen.
 

@@ -24,7 +24,7 @@ def model(z, terms, nuisances=None, *, families=None, dof=SURE_SCALES, pulls=Non
         side=np.zeros(p),
         families=np.array(["f"] * rows) if families is None else families,
         terms=tuple(terms),
-        scale_dof=dof,
+        scale_dof=np.atleast_1d(dof),
     )
 
 
