@@ -26,6 +26,7 @@ KEEP_BYTES = 300_000_000  # of each kind, in each process: five windows of a ren
 _BLURRED: OrderedDict[str, Float] = OrderedDict()
 _LABELLED: OrderedDict[str, SpectralPicture] = OrderedDict()
 _TRANSFORMS: OrderedDict[str, Float] = OrderedDict()
+_MIXED: OrderedDict[str, Float] = OrderedDict()
 # frequencies at which a transfer function is looked at, in cycles per sample: along both axes and both diagonals
 _PROBE: Float = np.linspace(1 / 24, 0.5, 12)
 PROBE_X: Float = np.concatenate([_PROBE, 0 * _PROBE, _PROBE, -_PROBE])
@@ -144,7 +145,20 @@ class SpectralPicture:
         return np.asarray(amplitude * (mix @ parts.reshape(len(parts), -1)).reshape(-1, *self.shape))
 
     def mixed(self, weights: Float, transfer: Transfer | None, wavelength_nm: Float | None) -> Float:
-        """Sums of the blurred picture over the bands, with ``weights`` (channels, bands): (channels, rows, cols)."""
+        """Sums of the blurred picture over the bands, with ``weights`` (channels, bands): (channels, rows, cols).
+
+        Behind a transfer function the sums are taken before they are transformed back: a channel is one picture where the parts
+        at their nodes are forty.  The last ones are kept, whatever the light's level.
+        """
+        if transfer is not None and wavelength_nm is not None:
+            level = float(np.abs(weights).max()) or 1.0
+            relative = np.round(weights / level, 12)
+            shares, wanted, nodes, blurred = self._wanted(transfer, wavelength_nm)
+            key = content_hash((blurred, relative))
+            if key not in _MIXED:
+                keep(_MIXED, key, self._summed(transfer, relative @ shares, wanted, nodes))
+            _MIXED.move_to_end(key)
+            return level * _MIXED[key]
         mix, parts = self._seen(transfer, wavelength_nm)
         return np.asarray(((weights @ mix) @ parts.reshape(len(parts), -1)).reshape(-1, *self.shape))
 
@@ -179,17 +193,29 @@ class SpectralPicture:
         inner = self.parts[:, edge : edge + rows * s, edge : edge + cols * s]
         return np.asarray(inner.reshape(-1, rows, s, cols, s).mean(axis=(2, 4), dtype=float))
 
-    def _blurred(self, transfer: Transfer, wavelength_nm: Float) -> tuple[Float, Float]:
-        """Each part at each of its nodes, (pictures, rows, cols), and the spectra (bands, pictures) that mix them."""
+    def _wanted(self, transfer: Transfer, wavelength_nm: Float) -> tuple[Float, Float, Float, str]:
+        """Spectra (bands, pictures) that mix pictures, their parts (pictures, parts), wavelengths (pictures,) and digest."""
         probe = self._probe(transfer, wavelength_nm)
         shares, wanted, at = self._nodes(probe, wavelength_nm)
         if at.size + TRANSFER_COST * np.unique(at).size > (1 + TRANSFER_COST) * wavelength_nm.size:  # every band on its own
             shares, wanted, at = np.eye(wavelength_nm.size), self.spectra, wavelength_nm
-        key = content_hash((self.digest, np.round(probe.astype(complex), 12), wanted, at))
+        return shares, wanted, at, content_hash((self.digest, np.round(probe.astype(complex), 12), wanted, at))
+
+    def _blurred(self, transfer: Transfer, wavelength_nm: Float) -> tuple[Float, Float]:
+        """Each part at each of its nodes, (pictures, rows, cols), and the spectra (bands, pictures) that mix them."""
+        shares, wanted, nodes, key = self._wanted(transfer, wavelength_nm)
         if key not in _BLURRED:
-            keep(_BLURRED, key, self._filtered(transfer, wanted, at))
+            keep(_BLURRED, key, self._filtered(transfer, wanted, nodes))
         _BLURRED.move_to_end(key)
         return shares, _BLURRED[key]
+
+    def _summed(self, transfer: Transfer, weights: Float, wanted: Float, nodes: Float) -> Float:
+        """Sums (channels, rows, cols), with ``weights`` (channels, pictures), of what `_filtered` gives."""
+        total = np.zeros((len(weights), *self._transforms.shape[1:]), complex)
+        for node in np.unique(nodes):
+            at = nodes == node
+            total += np.tensordot(weights[:, at] @ wanted[at], self._transforms, 1) * self._at(transfer, node)
+        return np.array([self._back(spectrum) for spectrum in total])
 
     def _filtered(self, transfer: Transfer, wanted: Float, nodes: Float) -> Float:
         """Sums of parts (pictures, parts) behind the transfer function at a wavelength each, (pictures, rows, cols)."""

@@ -41,10 +41,23 @@ def test_bands_summed_first_are_the_sum_of_the_bands(blur):
 def test_numbers_do_not_hang_on_how_often_or_where_a_blur_was_asked_for(monkeypatch):
     """Workers see shots in any order, and a run that was killed goes on in another process: the same bits all the same."""
     often = [signal(np.random.default_rng(7)).blurred(colored).mixed(WEIGHTS) for _ in range(6)]
-    for kept in ("_BLURRED", "_LABELLED", "_TRANSFORMS"):
+    for kept in ("_BLURRED", "_LABELLED", "_MIXED", "_TRANSFORMS"):
         monkeypatch.setattr(pictures, kept, type(pictures._BLURRED)())
     anew = signal(np.random.default_rng(7)).blurred(colored).mixed(WEIGHTS)
     assert all(np.array_equal(one, anew) for one in often)
+
+
+def test_a_channel_is_one_picture_behind_a_transfer_function(monkeypatch):
+    """Every part at every node was transformed back, 40 pictures for each step of an optical effect; a level asks for none."""
+    taken = []
+    back = SpectralPicture._back
+    monkeypatch.setattr(SpectralPicture, "_back", lambda self, spectrum: taken.append(1) or back(self, spectrum))
+    rng = np.random.default_rng(9)
+    picture = SpectralPicture.of_labels(rng.integers(0, 3, (60, 66)), rng.random((GRID.size, 3)), 12)
+    first = picture.mixed(WEIGHTS, colored, GRID)
+    assert len(taken) == len(WEIGHTS)
+    assert np.abs(picture.mixed(3.7 * WEIGHTS, colored, GRID) / (3.7 * first) - 1).max() < 1e-11
+    assert len(taken) == len(WEIGHTS)
 
 
 def test_a_factor_of_each_band_and_pixel_is_kept():
