@@ -17,7 +17,7 @@ from isetval.core.metric import METRIC_FIELDS, Metric
 from isetval.core.shown import Drawn
 from isetval.loop.error_budget import BudgetRow, error_budget
 from isetval.loop.fit import Fit
-from isetval.loop.gaussian import degrees_spent, expected_mean_square, square, whitener
+from isetval.loop.gaussian import degrees_spent, expected_mean_square, whitener
 from isetval.loop.given_side import given_rows
 from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate
 from isetval.loop.problem import Problem
@@ -97,9 +97,9 @@ def _mean_square(problem: Problem, fit: Fit, raw: Float, mask: Mask) -> tuple[fl
     rows = problem.keep[mask]
     covariance = problem.covariance[np.ix_(rows, rows)]
     true = _true_mean_square(problem, rows, covariance)
-    total = square(fit.residual[rows], covariance)
-    white = fit.jacobian if mask.all() else whitener(covariance) @ raw[mask]
-    return total / max(n - degrees_spent(white, fit.jacobian, fit.free), 1.0) / true, n
+    whiten = problem.whiten if mask.all() else whitener(covariance)
+    total = float(np.sum((whiten @ fit.residual[rows]) ** 2))
+    return total / max(n - degrees_spent(whiten @ raw[mask], fit.jacobian, fit.free), 1.0) / true, n
 
 
 def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Float) -> float:

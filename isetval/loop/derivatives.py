@@ -71,7 +71,10 @@ def jacobian(
     _renew(problem, point, [f for f in free if f.label in moved], moved)
     unknown = [f for f in free if f.is_nuisance and f.label not in problem.columns]
     here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
-    problem.columns.update({f.label: Column(s, here) for f, s in zip(unknown, _local(problem, point, unknown), strict=True)})
+    if unknown:
+        some = bool(problem.columns)
+        felt = replace(problem, predictor=problem.predictor.that_feel({f.label for f in unknown})) if some else problem
+        problem.columns |= {f.label: Column(s, here) for f, s in zip(unknown, _local(felt, point, unknown), strict=True)}
     effects = [f for f in free if not f.is_nuisance]
     focus = [f for f in free if f.focus]
     own = dict(zip((f.label for f in effects), slopes(problem, point, effects, both_sides, focus), strict=True))

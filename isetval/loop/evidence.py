@@ -165,11 +165,11 @@ def fitted_members(
         return fitted
     for turn in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted, members)
-        anew = turn < 2 and _is_imitated(fitted)
+        anew = imitators(fitted) if turn < 2 else frozenset()
         if longer == fitted.free and not anew:
             break
-        if anew:
-            problem.columns.clear()
+        for label in anew:
+            problem.columns.pop(label, None)
         fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations, stated=stated)
     for member in members if iterations else ():
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
@@ -177,14 +177,21 @@ def fitted_members(
     return fitted
 
 
-def _is_imitated(fitted: Fit) -> bool:
-    """Whether all else that is free can do nearly what an effect does: remembered derivatives, 3 % off, would tell them apart.
+def imitators(fitted: Fit) -> frozenset[str]:
+    """Unknowns, by label, that together can do nearly what an effect does, each with a part in it of a tenth or more.
 
-    With the scales of the fit: of contrasts 30 times as uncertain as stated, no turn of an edge does what a blur does.
+    Remembered derivatives, 3 % off, would tell them apart.  With the scales of the fit: of contrasts 30 times as uncertain as
+    stated, no turn of an edge does what a blur does.
     """
     rows = fitted.weight[:, None] * fitted.jacobian
-    size = np.linalg.norm(rows, axis=0) * np.sqrt(np.diag(np.linalg.pinv(hessian(rows, fitted.free))))
-    return any(not f.is_nuisance and s > IMITATED for f, s in zip(fitted.free, size, strict=True))
+    covariance = np.linalg.pinv(hessian(rows, fitted.free))
+    length = np.linalg.norm(rows, axis=0)
+    effects = [i for i, f in enumerate(fitted.free) if not f.is_nuisance]
+    imitated = [i for i in effects if length[i] * np.sqrt(covariance[i, i]) > IMITATED]
+    # -covariance[j, i] / covariance[i, i] of unknown j goes with one of effect i where all else follows
+    parts = [np.abs(covariance[:, i]) * length / covariance[i, i] / length[i] for i in imitated]
+    large = np.any([part > 1 / IMITATED for part in parts], axis=0) if parts else np.zeros(len(fitted.free), bool)
+    return frozenset(f.label for f, own in zip(fitted.free, large, strict=True) if own and f.is_nuisance)
 
 
 def with_longer_steps(fitted: Fit, members: Sequence[Member]) -> tuple[Parameter, ...]:

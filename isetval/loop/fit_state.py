@@ -98,9 +98,8 @@ class FitState:
     def moved(self, problem: Problem, start: Point, free: tuple[Parameter, ...], step: Float) -> FitState:
         """The state a step away, clipped to the parameters' bounds; infinitely dear where nothing can be simulated."""
         values = np.clip(walked(self.values, step, free), [f.low for f in free], [f.high for f in free])
-        pose = self.pose
-        if any(f.is_nuisance and not self._is_near(problem, f, v - p) for f, v, p in zip(free, values, pose, strict=True)):
-            pose = values
+        near = [f.is_nuisance and self._is_near(problem, f, v - p) for f, v, p in zip(free, values, self.pose, strict=True)]
+        pose = np.where(near, self.pose, values)
         (prediction,) = problem.predict([replace(self, values=values, pose=pose).posed(start, free)])
         for f, way in zip(free, values - pose, strict=True):
             if f.is_nuisance and way:

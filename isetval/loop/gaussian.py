@@ -74,9 +74,9 @@ def expected_mean_square(values: Float, covariance: Float, unseen: Float | None 
     replicas, n = values.shape
     if replicas < 2:
         return 1.0
-    total = float(np.sum(squares((values - values.mean(axis=0)).T, covariance))) * (1 + 1 / replicas)
-    if unseen is not None and unseen.size:
-        total += (replicas - 1) * float(np.sum(squares(unseen, covariance)))
+    shown = np.sqrt(1 + 1 / replicas) * (values - values.mean(axis=0)).T
+    hidden = np.zeros((n, 0)) if unseen is None else np.sqrt(replicas - 1) * unseen
+    total = float(np.sum(squares(np.hstack([shown, hidden]), covariance)))
     return float((total + TOWARDS_ONE) / (n * (replicas - 1) + TOWARDS_ONE))
 
 

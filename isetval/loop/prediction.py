@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.camera.chain import ShotSetup
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import after_shot_before, camera_with, shot_setup
 from isetval.core.cache import content_hash
@@ -179,20 +180,27 @@ class Predictor:
     def parts(self, point: Point, seed: int, *, derivative: bool) -> list[ShotPart]:
         """The shots of a point, each with its choices."""
         camera = camera_with(point.model, self.plan, point.values)
-        halves = Halves.of(camera)
-        return [self._part(camera, halves, shot, point.values, seed, derivative) for shot in self.shots]
+        halves, setups = Halves.of(camera), self._set_up(point.values, camera, derivative)
+        return [self._part(camera, halves, setups[shot.name], point.values, seed, derivative) for shot in self.shots]
 
-    def _part(
-        self, camera: CameraModel, halves: Halves, shot: Shot, values: Mapping[str, float], seed: int, derivative: bool
-    ) -> ShotPart:
-        how = self.differences[shot.name]
-        setup = after_shot_before(shot_setup(self.plan, shot, values), camera, self.plan, values)
-        if derivative and how.one_frame:
+    def _set_up(self, values: Mapping[str, float], camera: CameraModel, derivative: bool) -> dict[str, ShotSetup]:
+        """Every shot by name as the values of nuisances set it up, with the regions that are looked at."""
+        return {shot.name: self._as_asked(shot_setup(self.plan, shot, values), camera, derivative) for shot in self.shots}
+
+    def _as_asked(self, setup: ShotSetup, camera: CameraModel, derivative: bool) -> ShotSetup:
+        shot = setup.shot
+        if derivative and self.differences[shot.name].one_frame:
             setup = setup.of_one_frame()
         if shot.name not in self._regions:
             self._regions[shot.name] = looked_at(shot, camera.sensor)
-        if self._regions[shot.name]:
-            setup = replace(setup, regions=self._regions[shot.name])
+        return replace(setup, regions=self._regions[shot.name]) if self._regions[shot.name] else setup
+
+    def _part(
+        self, camera: CameraModel, halves: Halves, setup: ShotSetup, values: Mapping[str, float], seed: int, derivative: bool
+    ) -> ShotPart:
+        shot = setup.shot
+        how = self.differences[shot.name]
+        setup = after_shot_before(setup, camera, self.plan, values)
         mean_only = how.noise_free or shot.levels_only  # a resampled picture's noise is not its sensor's
         mode: Mode = "capture" if not derivative else "expected" if mean_only else "derivative"
         choices, chosen = self._through[shot.name] if derivative else (self._choices[shot.name], self._chosen[shot.name])
@@ -222,8 +230,11 @@ class Predictor:
         shots = [shot for shot in shots if only is None or shot.name in only]
         draws = [(shot, seed) for shot in shots for seed in seeds[: self.differences[shot.name].draws]]
         cameras = [camera_with(point.model, self.plan, point.values) for point in points]
+        # most points share their values: what these set up is made and hashed once
+        places = {id(point.values): point for point in points}
+        setups = {key: self._set_up(point.values, point.model, True) for key, point in places.items()}
         tasks = [
-            self._part(camera, halves, shot, point.values, seed, True)
+            self._part(camera, halves, setups[id(point.values)][shot.name], point.values, seed, True)
             for point, camera, halves in zip(points, cameras, map(Halves.of, cameras), strict=True)
             for shot, seed in draws
         ]
@@ -307,7 +318,7 @@ class Predictor:
         return [self._memo.items[key][self.pick[task.setup.shot.name]] for key, task in zip(keys, tasks, strict=True)]
 
     def _key(self, task: ShotPart) -> str:
-        return content_hash((task.key, self._wanted[task.setup.shot.name].digest))
+        return task.key + self._wanted[task.setup.shot.name].digest
 
     def known_or_made(self, function: Any, groups: Sequence[Sequence[ShotPart]], more: Sequence[tuple[Any, ...]]) -> list[Float]:
         """What ``function(tasks, rows, *more)`` gives for groups of tasks of one shot, from the store where it is known."""

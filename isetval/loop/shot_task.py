@@ -90,13 +90,13 @@ class ShotPart:
     @cached_property
     def key(self) -> str:
         """Equal for two tasks that must give the same numbers."""
-        return content_hash((self.halves.front, self.setup.digest(), self._rest))
+        return content_hash(f"{self.halves.front} {self.setup.digest()} {self._rest}")
 
     @property
-    def _rest(self) -> tuple[Any, ...]:
+    def _rest(self) -> str:
         shot = self.setup.shot
         frames = (shot.frames, self.setup.stands_for, self.setup.before_e)
-        return (self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen)
+        return repr((self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen))
 
     def key_of_light(self, mean: Float) -> str:
         """The same, by the light that came out in place of what it was made from."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from isetval.core.metric import Metric
 from isetval.loop.candidates import WIDER
 from isetval.loop.fit import Fit
 from isetval.loop.problem import Problem
-from isetval.loop.score_test import Frame
 from isetval.loop.unknown_evidence import Patterns
 
 Float = NDArray[np.float64]
@@ -52,27 +52,21 @@ class Template:
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
-    """A pattern that stands out of the residual."""
+class Conditions:
+    """The conditions of a table as columns: values (metrics,) by axis, nan where one has none; labels (metrics,) by group."""
 
-    words: str
-    gain: float
-    p_corrected: float
+    families: NDArray[np.str_]
+    axes: dict[str, Float]
+    groups: dict[str, NDArray[np.str_]]
 
-
-def templates(metrics: Sequence[Metric], predicted: Float, sigma: Float) -> Iterator[Template]:
-    """All patterns for a table; amplitudes are relative to the predicted value and in units of sigma."""
-    families = np.array([m.family for m in metrics])
-    size = np.where(np.abs(predicted) > 3 * sigma, np.abs(predicted), sigma)
-    for family in dict.fromkeys(families):
-        member = families == family
-        for amplitude, kind in ((size, "in proportion"), (sigma, "by sigma")):
-            base = np.where(member & np.isfinite(amplitude), amplitude, 0.0)
-            yield Template(f"{family}: all values ({kind})", base, family)
-            yield from _along_axes(metrics, family, member, base)
-        proportional = np.where(member & np.isfinite(size), size, 0.0)
-        yield from _ripples(metrics, family, member, proportional)
-        yield from _groups(metrics, family, member, proportional)
+    @classmethod
+    def of(cls, metrics: Sequence[Metric]) -> Conditions:
+        """Of the metrics of a table."""
+        return cls(
+            np.array([m.family for m in metrics]),
+            {name: _axis(metrics, name) for name in AXES},
+            {name: np.array([str(getattr(m, name)) for m in metrics]) for name in GROUPS},
+        )
 
 
 def _axis(metrics: Sequence[Metric], name: str) -> Float:
@@ -81,9 +75,24 @@ def _axis(metrics: Sequence[Metric], name: str) -> Float:
     return np.array([np.nan if getattr(m, name) is None else float(getattr(m, name)) for m in metrics])
 
 
-def _along_axes(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+def templates(metrics: Sequence[Metric], predicted: Float, sigma: Float) -> Iterator[Template]:
+    """All patterns for a table; amplitudes are relative to the predicted value and in units of sigma."""
+    conditions = Conditions.of(metrics)
+    size = np.where(np.abs(predicted) > 3 * sigma, np.abs(predicted), sigma)
+    for family in dict.fromkeys(conditions.families):
+        member = conditions.families == family
+        for amplitude, kind in ((size, "in proportion"), (sigma, "by sigma")):
+            base = np.where(member & np.isfinite(amplitude), amplitude, 0.0)
+            yield Template(f"{family}: all values ({kind})", base, family)
+            yield from _along_axes(conditions, family, member, base)
+        proportional = np.where(member & np.isfinite(size), size, 0.0)
+        yield from _ripples(conditions, family, member, proportional)
+        yield from _groups(conditions, family, member, proportional)
+
+
+def _along_axes(conditions: Conditions, family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
     for name, words in AXES.items():
-        x = _axis(metrics, name)
+        x = conditions.axes[name]
         use = member & np.isfinite(x)
         if use.sum() < 3 or np.ptp(x[use]) <= 1e-9 * max(abs(x[use]).max(), 1e-12):
             continue
@@ -94,9 +103,9 @@ def _along_axes(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_
             yield Template(f"{family} bends along {words}", base * np.where(use, t**2 - np.mean(t[use] ** 2), 0.0), family)
 
 
-def _ripples(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+def _ripples(conditions: Conditions, family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
     """Radial waves of `RIPPLES` periods in both phases, where there are radii enough to see them."""
-    radius = np.where(member, _axis(metrics, "radius"), np.nan)
+    radius = np.where(member, conditions.axes["radius"], np.nan)
     known = np.unique(np.round(radius[member], 6))
     if known.size < 4 * max(RIPPLES):
         return
@@ -106,25 +115,33 @@ def _ripples(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], 
         yield Template(f"{family} ripples along field radius, {periods} periods (sine)", base * np.sin(periods * turn), family)
 
 
-def _groups(metrics: Sequence[Metric], family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+def _groups(conditions: Conditions, family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
     for name, words in GROUPS.items():
-        labels = np.array([str(getattr(m, name)) for m in metrics])
+        labels = conditions.groups[name]
         found = [label for label in dict.fromkeys(labels[member]) if label]
         if not 1 < len(found) <= MAX_PER_GROUP:
             continue
         for label in found:
             yield Template(f"{family} differs for {words} {label}", np.where(labels == label, base, 0.0), family)
             if name == "orientation":
-                radius = _axis(metrics, "radius")
                 yield Template(
                     f"{family} of {label} edges differs and grows with field radius",
-                    np.where(labels == label, base * radius, 0.0),
+                    np.where(labels == label, base * conditions.axes["radius"], 0.0),
                     family,
                 )
 
 
+_KNOWN: WeakKeyDictionary[Problem, Patterns] = WeakKeyDictionary()
+
+
 def patterns_of(problem: Problem) -> Patterns:
-    """All patterns that show in the rows of a problem, whitened."""
+    """All patterns that show in the rows of a problem, whitened; made once for each problem."""
+    if problem not in _KNOWN:
+        _KNOWN[problem] = _patterns_of(problem)
+    return _KNOWN[problem]
+
+
+def _patterns_of(problem: Problem) -> Patterns:
     metrics = problem.predictor.table.metrics
     sigma = np.sqrt(np.diag(problem.base.covariance))
     made = {t.words: t for t in reversed(list(templates(metrics, problem.base.mean, sigma)))}
@@ -134,29 +151,6 @@ def patterns_of(problem: Problem) -> Patterns:
     shown = np.flatnonzero(np.linalg.norm(white, axis=0) > 0)
     chosen = [list(made.values())[i] for i in shown]
     return Patterns(tuple(t.words for t in chosen), np.array([t.family for t in chosen]), white[:, shown])
-
-
-def _scored(problem: Problem, frame: Frame) -> dict[str, tuple[float, float]]:
-    """Templates by their words: profiled projection of the residual on each, and its squared length."""
-    patterns = patterns_of(problem)
-    part = frame.profiled(patterns.white)
-    along, square = part.T @ frame.z, np.sum(part**2, axis=0)
-    return {words: (float(a), float(s)) for words, a, s in zip(patterns.words, along, square, strict=True) if s > 1e-12}
-
-
-def findings(problem: Problem, frame: Frame, *, alpha: float = 0.01, limit: int = 5) -> list[Finding]:
-    """Patterns whose profiled score survives the look-elsewhere correction, strongest first."""
-    from scipy.stats import chi2
-
-    scored = _scored(problem, frame)
-    out: list[Finding] = []
-    for words, (along, square) in sorted(scored.items(), key=lambda item: -(item[1][0] ** 2) / item[1][1]):
-        gain = along**2 / square
-        p = min(1.0, float(chi2.sf(gain, 1)) * len(scored))
-        if p >= alpha or len(out) == limit:
-            break
-        out.append(Finding(words, gain, p))
-    return out
 
 
 def pulled(fits: Sequence[tuple[str, Fit]], *, alpha: float = 0.01, doubted: Sequence[str] = ()) -> list[str]:

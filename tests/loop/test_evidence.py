@@ -1,8 +1,12 @@
 """Posteriors and their dependence on the width of the priors, by hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from isetval.core.parameter import Parameter
+from isetval.loop.evidence import imitators
 from isetval.loop.posterior import Posterior
 
 NOTHING, A, B, BOTH = frozenset(), frozenset("a"), frozenset("b"), frozenset("ab")
@@ -39,3 +43,19 @@ def test_three_times_wider_priors_cost_ln_3_for_each_parameter():
 
 def test_a_posterior_may_be_stated_as_sure_as_it_is():
     assert Posterior({NOTHING: 0.0, A: 400.0}, {NOTHING: 0, A: 1}).of("a") > 1 - 1e-12
+
+
+@pytest.mark.parametrize(("left", "taken"), [(0.05, True), (0.3, False)])
+def test_unknowns_that_can_do_nearly_what_an_effect_does_are_named_and_no_others(left, taken):
+    """A loss shows as the tilt of a lamp but for a twentieth; a bystander in rows of its own has no part in that."""
+    rows = np.zeros((40, 3))
+    rows[:20, 1] = 3.0 * np.linspace(-1, 1, 20)
+    rows[20:, 2] = 50.0
+    rows[:20, 0] = rows[:20, 1] + left * np.linalg.norm(rows[:, 1]) * np.linspace(-1, 1, 20) ** 2 / np.sqrt(20 / 5)
+    free = (
+        Parameter("loss", owner="vignetting", low=0.0, high=1.0, step=0.1, prior=None),
+        Parameter("light_tilt_x", scope="measurement session", group="A", prior=100.0, step=1.0),
+        Parameter("edge_shift_px", scope="set-up", group="e", prior=0.5, step=0.5),
+    )
+    fitted = SimpleNamespace(free=free, weight=np.ones(40), jacobian=rows)
+    assert imitators(fitted) == ({free[1].label} if taken else set())
