@@ -9,7 +9,7 @@ at every blur.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -27,6 +27,56 @@ FieldCurve = Callable[[Float, Float], Float]
 
 Transfer = Callable[[Float, Float, Float], Float]
 """Optical transfer function (fx_cy_px, fy_cy_px, wavelength_nm) ; complex where the blur is not even.  Arguments broadcast."""
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Transfer function of an image that is moved by ``shift_px(wavelength_nm)``, to higher columns and to higher rows, in px.
+
+    ``of_samples`` is that of a picture of whole pixels, each of one colour: what a pixel then sees is the share of both
+    neighbours, exactly.  Between samples a phase alone rings: 4 px within a patch whose neighbour is ten times as bright
+    .3 px made 2 %.
+    """
+
+    shift_px: Callable[[Float], tuple[Any, Any]]
+
+    def __call__(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        """A phase."""
+        right, down = self.shift_px(wavelength_nm)
+        return np.asarray(np.exp(-2j * np.pi * (fx * right + fy * down)))
+
+    def of_samples(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        """Linear interpolation along both axes."""
+        right, down = self.shift_px(wavelength_nm)
+        return np.asarray(_between(fx, right) * _between(fy, down))
+
+
+def _between(frequency: Float, shift: Any) -> Any:
+    whole = np.floor(shift)
+    part = shift - whole
+    return np.exp(-2j * np.pi * frequency * whole) * (1 - part + part * np.exp(-2j * np.pi * frequency))
+
+
+@dataclass(frozen=True)
+class Product:
+    """The product of transfer functions; ``of_samples`` takes each as a picture of whole pixels sees it."""
+
+    parts: tuple[Transfer, ...]
+
+    def __call__(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        """Of all."""
+        return self._of(self.parts, fx, fy, wavelength_nm)
+
+    def of_samples(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        """Of all, moves between samples."""
+        return self._of([getattr(part, "of_samples", part) for part in self.parts], fx, fy, wavelength_nm)
+
+    @staticmethod
+    def _of(parts: Sequence[Transfer], fx: Float, fy: Float, wavelength_nm: Float) -> Float:
+        out: Any = 1.0
+        for part in parts:
+            out = out * part(fx, fy, wavelength_nm)
+        return np.asarray(out)
 
 
 class Structure(Protocol):
@@ -145,7 +195,8 @@ class Signal:
         return np.asarray(sum(layer.mixed(weights, transfer, self.wavelength_nm) for layer in self.layers))
 
     def _transfer(self) -> Transfer | None:
-        return _product(self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers))
+        parts = self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers)
+        return Product(parts) if parts else None
 
     def scaled(self, factor: ArrayLike) -> Signal:
         """Every layer times ``factor``, which broadcasts to (bands, rows, cols)."""
@@ -181,16 +232,3 @@ class Signal:
                 (Layer(values),), unit, self.shape, self.wavelength_nm, filters=self.filters, chief_ray_deg=self.chief_ray_deg
             )
         return Signal((Layer(values),), unit, self.shape, chief_ray_deg=self.chief_ray_deg)
-
-
-def _product(transfers: tuple[Transfer, ...]) -> Transfer | None:
-    if not transfers:
-        return None
-
-    def transfer(fx: Float, fy: Float, wavelength_nm: Float) -> Float:
-        out: Any = 1.0
-        for part in transfers:
-            out = out * part(fx, fy, wavelength_nm)
-        return np.asarray(out)
-
-    return transfer

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, parameter
-from isetval.core.signal import Layer, Signal
+from isetval.core.signal import Layer, Moved, Signal
 from isetval.effects.pupil import BLUE_NM, GREEN_NM, RED_NM, REFERENCE_NM, field_point
 
 Float = NDArray[np.float64]
@@ -167,9 +167,10 @@ class EtalonRipple(Effect):
         return signal.scaled(1 + self.amplitude * np.cos(2 * np.pi * (REFERENCE_NM / grid)[:, None, None] * fringe))
 
 
-def _moved(fx: Float, fy: Float, wavelength_nm: Float, *, x: float, y: float, shift: Any) -> NDArray[np.complex128]:
-    """Transfer function of an image moved along (x, y) by ``shift(wavelength_nm)`` px."""
-    return np.asarray(np.exp(-2j * np.pi * shift(wavelength_nm) * (fx * x + fy * y)))
+def _outwards(x: float, y: float, by: Callable[[Float], Any], wavelength_nm: Float) -> tuple[Any, Any]:
+    """Columns and rows by which an image at (x, y) moves where it moves ``by(wavelength_nm)`` px along that direction."""
+    size = by(wavelength_nm)
+    return x * size, y * size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +205,7 @@ class LateralColor(Effect):
         if not (self.red_px or self.blue_px):
             return signal
         x, y = field_point(context)
-        return signal.blurred(partial(_moved, x=x, y=y, shift=self._shift))  # type: ignore[arg-type]
+        return signal.blurred(Moved(partial(_outwards, x, y, self._shift)))
 
     def _shift(self, wavelength_nm: Float) -> Float:
         return np.asarray(np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (self.blue_px, 0.0, self.red_px)))
@@ -243,7 +244,7 @@ class Distortion(Effect):
         if not all(hasattr(structure, "moved") for structure in structures):
             x, y = field_point(context)
             shift = self.k1_px * (x * x + y * y)
-            return signal.blurred(partial(_moved, x=x, y=y, shift=lambda wavelength_nm: shift))  # type: ignore[arg-type]
+            return signal.blurred(Moved(lambda wavelength_nm: (shift * x, shift * y)))
         x_mm, y_mm = context.xy_mm()
         half = context.sensor.half_diagonal_mm
         scale = self.k1_px * (x_mm * x_mm + y_mm * y_mm) / half**3

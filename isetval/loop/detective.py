@@ -269,14 +269,19 @@ def _needed(case: Investigation, other: Hypothesis) -> float:
 
 
 def _refit(case: Investigation, say: Say, *, first: bool) -> None:
-    """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about."""
+    """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about.
+
+    Other forms of each are asked for when all were fitted, the best first: of what lies far behind none is.
+    """
+    fitted = []
     for names in of_several_classes(case, _proposals(case, first=first))[:SHORT_LIST]:
         best = max(case.score(h) for h in case.known.values())
         if not first and case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing)):
             break
         say(f"fitting {', '.join(sorted(names))}")
-        found = fitted_jointly(case, names)
-        case.known[names] = in_best_form(case, found, say)
+        fitted.append(fitted_jointly(case, names))
+    for found in sorted(fitted, key=case.score, reverse=True):
+        case.known[found.names] = in_best_form(case, found, say)
 
 
 def of_several_classes(case: Investigation, proposals: Sequence[Names]) -> list[Names]:

@@ -151,6 +151,7 @@ class SpectralPicture:
         at their nodes are forty.  The last ones are kept, whatever the light's level.
         """
         if transfer is not None and wavelength_nm is not None:
+            transfer = self._of_samples(transfer)
             level = float(np.abs(weights).max()) or 1.0
             relative = np.round(weights / level, 12)
             shares, wanted, nodes, blurred = self._wanted(transfer, wavelength_nm)
@@ -166,7 +167,12 @@ class SpectralPicture:
         """Few pictures (pictures, rows, cols) and the spectra (bands, pictures) that mix them."""
         if transfer is None or wavelength_nm is None:
             return self.spectra, self._binned()
-        return self._blurred(transfer, wavelength_nm)
+        return self._blurred(self._of_samples(transfer), wavelength_nm)
+
+    def _of_samples(self, transfer: Transfer) -> Transfer:
+        """The transfer function as the samples see it: those of labels are whole pixels of one colour."""
+        of_samples: Transfer = getattr(transfer, "of_samples", transfer)
+        return transfer if self.averaged or self.subsample > 1 else of_samples
 
     def _probe(self, transfer: Transfer, wavelength_nm: Float) -> Float:
         """Samples (frequencies, bands) of a transfer function, by which it is known."""

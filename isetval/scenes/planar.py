@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from isetval.core.context import Context
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, EdgeTarget, Highlight, Scene
 from isetval.core.sensor import RoiLike
-from isetval.core.signal import Layer, Signal, Transfer
+from isetval.core.signal import Layer, Moved, Signal, Transfer
 from isetval.scenes.pictures import HALO_PX, SpectralPicture, wavelength_nodes
 
 Float = NDArray[np.float64]
@@ -126,13 +125,7 @@ def shifted(signal: Signal, scene: Scene) -> Signal:
     """The picture of a target at its place beside the stated one."""
     if not any(scene.target_shift_px):
         return signal
-    right, down = scene.target_shift_px
-    return signal.blurred(partial(_shifted, right_px=right, down_px=down))  # type: ignore[arg-type]
-
-
-def _shifted(fx: Float, fy: Float, wavelength_nm: Float, *, right_px: float, down_px: float) -> NDArray[np.complex128]:
-    """Transfer function of a picture shifted to higher columns and rows."""
-    return np.asarray(np.exp(-2j * np.pi * (fx * right_px + fy * down_px)))
+    return signal.blurred(Moved(lambda wavelength_nm: scene.target_shift_px))
 
 
 def mean_radiance(scene: Scene) -> Float:
