@@ -18,7 +18,8 @@ from isetval.core.sensor import Exposure, Sensor, Window
 from isetval.core.toml import PACKAGE_PREFIX, check_keys, named_file, number, numbers, read_toml, tables, text, texts
 from isetval.files.campaign_shots import first_readable, read_given, read_shots, sized
 from isetval.files.captures import FileCaptures
-from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
+from isetval.files.emva_descriptor import load_emva_descriptor
+from isetval.files.emva_lines import find_emva_descriptor
 from isetval.files.target_file import read_target
 
 RECENT_PIXELS = 100_000_000  # 200 MB: eight frames of 12 MP, the files of a shot that is looked at in parts

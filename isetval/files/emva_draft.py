@@ -46,13 +46,14 @@ def write_emva_campaign(descriptor: Path, *, camera: str = "") -> tuple[Path, Ca
         if file.exists():
             raise InputError(f"{file}: exists already; rename it first (nothing was written)")
     model = load_model(resolve_path(camera, Path())) if camera else None
-    campaign = load_emva_descriptor(descriptor, **({} if model is None else {"pixel_um": model.sensor.pixel_um}))
+    known = {} if model is None else {"pixel_um": model.sensor.pixel_um, "cfa": model.sensor.cfa}
+    campaign = load_emva_descriptor(descriptor, **known)
     sensor = campaign.sensor
     if sensor is None:
         raise InputError(f"{descriptor}: states no sensor; add a line 'n bits columns rows'")
     said = (
         f"# What the pictures of {descriptor.name} do not say; its black level is the mean of the shortest darks.\n"
-        f'cfa = "MONO"\nblack_dn = {sensor.black_dn[0][0]!r}\nbits = {sensor.bits}\npixel_um = {sensor.pixel_um!r}\n'
+        f'cfa = "{sensor.cfa}"\nblack_dn = {sensor.black_dn[0][0]!r}\nbits = {sensor.bits}\npixel_um = {sensor.pixel_um!r}\n'
     )
     nuisances, reasons = priors(campaign)
     campaign = replace(campaign, nuisances=nuisances)
