@@ -48,7 +48,9 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     if not (path / "campaign.toml").is_file():
         descriptor = find_emva_descriptor(path)
         if descriptor is not None:
-            return load_emva_descriptor(descriptor, **({} if camera is None else {"pixel_um": camera.sensor.pixel_um}))
+            if camera is None:
+                return load_emva_descriptor(descriptor)
+            return load_emva_descriptor(descriptor, pixel_um=camera.sensor.pixel_um, cfa=camera.sensor.cfa)
     if path.is_dir():
         path = path / "campaign.toml"
         if not path.is_file():

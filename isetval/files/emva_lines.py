@@ -84,7 +84,9 @@ def find_emva_descriptor(path: Path | str) -> Path | None:
 
 
 def descriptors_below(folder: Path | str) -> list[Path]:
-    """Descriptors in the sub-folders of ``folder``, sorted."""
+    """Descriptors in the sub-folders of ``folder``, sorted; none where there is no such folder."""
+    if not Path(folder).is_dir():
+        return []
     subs = [sub for sub in sorted(Path(folder).iterdir()) if sub.is_dir() and not sub.is_symlink()]
     return [found for sub in subs for found in _descriptors(sub)]
 

@@ -183,7 +183,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.core.errors import InputError
     from isetval.core.toml import PACKAGE_PREFIX
     from isetval.files.chart_parts import write_chart_parts
-    from isetval.files.draft import draft_campaigns, write_draft
+    from isetval.files.draft import check_free, draft_campaigns, write_draft
     from isetval.files.draft_text import sentences
     from isetval.files.emva_lines import descriptors_below, find_emva_descriptor
 
@@ -195,6 +195,7 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
             f"{args.folder}: has no EMVA 1288 descriptor of its own, but {len(below)} in its sub-folders; "
             f"give each set by itself: isetval campaign init {below[0].parent}"
         )
+    check_free(args.folder, "campaign.toml", "campaign.html")
     console.say(f"reading the files of {args.folder}")
     draft, *others = draft_campaigns(args.folder, role=args.role, camera=args.camera, scene=args.scene, progress=console.progress)
     roles = [shot.role for shot in draft.shots]
