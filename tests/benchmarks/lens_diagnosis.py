@@ -2,8 +2,9 @@
 
     python tests/benchmarks/lens_diagnosis.py
 
-The camera with `aperture` has `defocus` beside it, so that the plan's errors of focus act in both. Both hide the same effect (`read_noise` of 3.6 e-), so that both searches fit and confirm a name.  Every run is a process of
-its own with an empty store, so that nothing is kept from the other.
+The camera with `aperture` has `defocus` beside it, so that the plan's errors of focus act in both.  Both hide the same effect
+(`read_noise` of 3.6 e-), so that both searches fit and confirm a name.  Every run is a process of its own with an empty store, so
+that nothing is kept from the other.
 """
 
 import os
@@ -51,7 +52,7 @@ def plan(sensor):
                     target=edge,
                     focus_um=focus,
                     distance_m=1.0,
-                )  # fmt: skip
+                )
             )
     priors = (
         Nuisance("light_level", 0.02, "relative", "set-up", roles=("flat", "edge")),
