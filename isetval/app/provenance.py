@@ -17,7 +17,7 @@ METRIC_VERSIONS = {
     "find_edges": 3,
     "flat_fields": 4,
     "patches": 2,
-    "photon_transfer": 6,
+    "photon_transfer": 7,
     "relative_illumination": 2,
     "sfr": 3,
     "uniform_patches": 1,

@@ -18,7 +18,8 @@ from isetval.core.sensor import Exposure, Sensor, Window
 from isetval.core.toml import PACKAGE_PREFIX, check_keys, named_file, number, numbers, read_toml, tables, text, texts
 from isetval.files.campaign_shots import first_readable, read_given, read_shots, sized
 from isetval.files.captures import FileCaptures
-from isetval.files.emva_descriptor import find_emva_descriptor, load_emva_descriptor
+from isetval.files.emva_descriptor import load_emva_descriptor
+from isetval.files.emva_lines import find_emva_descriptor
 from isetval.files.target_file import read_target
 
 RECENT_PIXELS = 100_000_000  # 200 MB: eight frames of 12 MP, the files of a shot that is looked at in parts
@@ -47,7 +48,9 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     if not (path / "campaign.toml").is_file():
         descriptor = find_emva_descriptor(path)
         if descriptor is not None:
-            return load_emva_descriptor(descriptor, **({} if camera is None else {"pixel_um": camera.sensor.pixel_um}))
+            if camera is None:
+                return load_emva_descriptor(descriptor)
+            return load_emva_descriptor(descriptor, pixel_um=camera.sensor.pixel_um, cfa=camera.sensor.cfa)
     if path.is_dir():
         path = path / "campaign.toml"
         if not path.is_file():

@@ -6,6 +6,7 @@ The steps stand in files of their own: `folder_reading`, `shot_grouping`, `recog
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -163,6 +164,24 @@ def _with_scene(work: Drafting, seen: Sequence[Seen], built: BuiltScene) -> list
     return out
 
 
+def check_free(folder: Path | str, *names: str) -> None:
+    """Refuse a folder that may not be written, or that has one of the files already: before minutes of reading, and once more.
+
+    Raises
+    ------
+    InputError
+        With the file and what to do.
+    """
+    folder = Path(folder)
+    for file in map(folder.joinpath, names):
+        if file.exists():
+            raise InputError(f"{file}: exists already; rename it first (nothing was written)")
+    if folder.is_dir() and not os.access(folder, os.W_OK):
+        raise InputError(
+            f"{folder}: may not be written, and the campaign has to lie with its files; copy the folder to a disk of yours"
+        )
+
+
 def write_draft(draft: Draft, folder: Path | str) -> Path:
     """Write the draft, unless the folder has a campaign already.
 
@@ -173,10 +192,9 @@ def write_draft(draft: Draft, folder: Path | str) -> Path:
     """
     path = Path(folder) / draft.file
     camera = path.with_name(CAMERA)
-    parts = part_files(path)
-    for file in (path, path.with_suffix(".html"), *([camera] if draft.drafted else []), *parts):  # page and parts come next
-        if file.exists():
-            raise InputError(f"{file}: exists already; rename it first (nothing was written)")
+    # page and parts are written next
+    files = (path, path.with_suffix(".html"), *([camera] if draft.drafted else []), *part_files(path))
+    check_free(folder, *(file.name for file in files))
     if draft.drafted is not None:
         draft.drafted.save(camera)
     write_whole(path, draft_text(draft))

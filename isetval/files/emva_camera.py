@@ -35,16 +35,17 @@ SYMBOLS = {
     "dark_current_nonuniformity_e_per_s": ("dcnu.pixel",),
 }
 
-# their sigma says whether there is such a pattern at all; other numbers every camera has
-PATTERNS = (
-    "dsnu_e",
-    "dsnu_row_e",
-    "dsnu_column_e",
-    "prnu_percent",
-    "dark_current_e_per_s",
-    "dark_current_nonuniformity_e_per_s",
-)
 CLEAR = 3.0  # sigmas above which a part of the pattern is taken into the model
+# their sigma says whether there is such a pattern at all; other numbers every camera has.  Roots of a variance: at v +- s the
+# root is known to s / (2 sqrt(v)), so that three sigmas of the variance are six of the root
+PATTERNS = {
+    "dsnu_e": 2 * CLEAR,
+    "dsnu_row_e": 2 * CLEAR,
+    "dsnu_column_e": 2 * CLEAR,
+    "prnu_percent": 2 * CLEAR,
+    "dark_current_e_per_s": CLEAR,
+    "dark_current_nonuniformity_e_per_s": 2 * CLEAR,
+}
 
 
 def numbers_of(table: EmvaTable) -> dict[str, float]:
@@ -62,7 +63,7 @@ def numbers_of(table: EmvaTable) -> dict[str, float]:
         finite = [r for r in table.rows if math.isfinite(r.value)]
         named = ([r for r in finite if r.symbol.lower() == s] for s in (f"{symbols[0]}.mean", *symbols))
         rows = next(filter(None, named), [])
-        if rows and (name not in PATTERNS or all(r.value > CLEAR * r.sigma for r in rows)):
+        if rows and (name not in PATTERNS or all(r.value > PATTERNS[name] * r.sigma for r in rows)):
             found[name] = float(np.mean([r.value for r in rows]))
     if lacking := [name for name in ("gain_dn_per_e", "dark_noise_e") if name not in found]:
         raise InputError(f"the series give no {' and no '.join(lacking)}")

@@ -13,7 +13,7 @@ from isetval.core.toml import resolve_path
 from isetval.core.writing import write_whole
 from isetval.files.campaign_writer import write_tables
 from isetval.files.emva_camera import emva_camera
-from isetval.files.emva_descriptor import load_emva_descriptor
+from isetval.files.emva_descriptor import UNKNOWN_PITCH_UM, load_emva_descriptor
 from isetval.files.emva_estimates import PARTS, camera_numbers, dealt, looking_at_the_middle, priors
 from isetval.files.sidecar import FOLDER_NAMES
 
@@ -45,23 +45,24 @@ def write_emva_campaign(descriptor: Path, *, camera: str = "") -> tuple[Path, Ca
     for file in (path, *parts, sidecar, folder / "spectra", *([] if camera else [folder / CAMERA, folder / "qe.csv"])):
         if file.exists():
             raise InputError(f"{file}: exists already; rename it first (nothing was written)")
-    model = load_model(resolve_path(camera, Path())) if camera else None
-    campaign = load_emva_descriptor(descriptor, **({} if model is None else {"pixel_um": model.sensor.pixel_um}))
+    own = load_model(resolve_path(camera, Path())).sensor if camera else None
+    pixel_um, cfa = (UNKNOWN_PITCH_UM, "MONO") if own is None else (own.pixel_um, own.cfa)
+    campaign = load_emva_descriptor(descriptor, pixel_um=pixel_um, cfa=cfa)
     sensor = campaign.sensor
     if sensor is None:
         raise InputError(f"{descriptor}: states no sensor; add a line 'n bits columns rows'")
     said = (
         f"# What the pictures of {descriptor.name} do not say; its black level is the mean of the shortest darks.\n"
-        f'cfa = "MONO"\nblack_dn = {sensor.black_dn[0][0]!r}\nbits = {sensor.bits}\npixel_um = {sensor.pixel_um!r}\n'
+        f'cfa = "{sensor.cfa}"\nblack_dn = {sensor.black_dn[0][0]!r}\nbits = {sensor.bits}\npixel_um = {sensor.pixel_um!r}\n'
     )
     nuisances, reasons = priors(campaign)
     campaign = replace(campaign, nuisances=nuisances)
-    own = dealt(campaign)
-    drafted = "" if camera else _drafted_camera(own[PARTS[0]], folder, descriptor.name)
+    parted = dealt(campaign)
+    drafted = "" if camera else _drafted_camera(parted[PARTS[0]], folder, descriptor.name)
     notes = (*campaign.notes, *reasons, *([drafted] if drafted else []))
     campaign = replace(campaign, notes=notes)
     _write(campaign, folder, path.name, [f"Drafted by `isetval campaign init` from {descriptor.name}.", *_checks(notes)])
-    for part, shots in own.items():
+    for part, shots in parted.items():
         looking, window = looking_at_the_middle(shots)
         remarks = [
             f"The part of campaign.toml to {part} on: {len(shots.shots)} of {len(campaign.shots)} series.",

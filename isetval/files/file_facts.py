@@ -25,6 +25,7 @@ LEAST_STEP_DN = 1.0  # two frames whose levels agree to a code are one level
 BLOCKS = 24  # a thumbnail of 24 x 24 means tells pictures apart
 TIME_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_]?(\d\d)[-_]?(\d\d)[-_ T]?(\d\d)[-_.:h]?(\d\d)[-_.:m]?(\d\d)(?!\d\d)")
 WAVELENGTH_IN_NAME = re.compile(r"(?<![\d.])(\d{3,4})nm(?![a-z])")
+NOISY_DN2 = 0.01  # one pixel in a hundred off by a code: frames that round all to one code may well be alike
 WHITE_SHARE = 0.001  # of clipped pixels: more, and the mean of a frame is no level
 
 
@@ -36,7 +37,7 @@ class FileFacts:
     pixel noise; ``blocks_dn`` are block means above black, all colours together, with ``block_sigma_dn``;
     ``clipped`` is the share of pixels at white; ``placed`` whether the file states its place on the sensor;
     ``taken`` is the date and time that it or its name states; ``wavelength_nm``, ``labels`` and ``levels_only``
-    (a resampled picture) are those of its sidecar.
+    (a resampled picture) are those of its sidecar; ``digest`` is of its bytes.
     """
 
     file: str
@@ -56,6 +57,12 @@ class FileFacts:
     wavelength_nm: float | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
     levels_only: bool = False
+    digest: str = ""
+
+    @property
+    def noisy(self) -> bool:
+        """Whether its pixels scatter by so much that no second picture can have the same."""
+        return self.level_sigma_dn**2 * self.window.rows * self.window.cols > NOISY_DN2
 
     @property
     def place(self) -> str:
@@ -109,6 +116,7 @@ def facts_of(file: str, folder: str, capture: Capture, *, rotation_deg: float = 
         about.get("wavelength_nm") or _wavelength_in_name(file),
         about.get("labels") or {},
         bool(about.get("levels_only", False)),
+        str(about.get("sha256") or ""),
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from isetval.core.errors import InputError
 from isetval.files.captures import FileCaptures
 from isetval.files.file_facts import FileFacts, facts_of
-from isetval.files.loose_files import files_below, nothing_in
+from isetval.files.raw_files import files_below, nothing_in
 
 Progress = Callable[[str, int, int], None]
 TURNS_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: 270.0}  # Exif orientation, how the camera was turned
@@ -68,6 +68,7 @@ def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFact
     if not facts:
         file, reason = captures.skipped[0]
         raise InputError(f"{folder}: none of its {len(files)} raw files can be read; the first: {file}: {reason}")
+    facts, copies = _without_copies(facts)
     mine, resampled, others = _one_camera(facts)
     read = {folder / file for file in files}
     rest = [path for path in folder.rglob("*") if path.is_file() and path.suffix.lower() in PICTURES and path not in read]
@@ -76,7 +77,17 @@ def read_folder(folder: Path, *, progress: Progress | None = None) -> FolderFact
         if rest
         else []
     )
-    return FolderFacts(folder, tuple(mine), captures, (*captures.skipped, *others), tuple(notes), resampled)
+    return FolderFacts(folder, tuple(mine), captures, (*captures.skipped, *copies, *others), tuple(notes), resampled)
+
+
+def _without_copies(facts: Sequence[FileFacts]) -> tuple[list[FileFacts], list[tuple[str, str]]]:
+    """Files but for copies of others, byte by byte, and a sentence for each copy: noise seen twice would count as agreement."""
+    first: dict[str, str] = {}
+    copies = {}
+    for fact in facts:
+        if fact.digest and fact.noisy and first.setdefault(fact.digest, fact.file) != fact.file:
+            copies[fact.file] = f"is a copy of {first[fact.digest]}, byte by byte; its noise would be counted twice"
+    return [fact for fact in facts if fact.file not in copies], list(copies.items())
 
 
 def _turned(path: Path) -> float:

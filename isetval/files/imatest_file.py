@@ -22,7 +22,7 @@ CHANNELS = {"red": "R", "r": "R", "green": "G", "g": "G", "blue": "B", "b": "B",
 def recognises(text: str) -> bool:
     """Whether it is a CSV or JSON of Imatest."""
     start = text[:4000].lower()
-    return "imatest" in start or re.search(r'"(sfr|sfrplus|esfriso|sfrreg|checkerboard)results"', start) is not None
+    return "imatest" in start or re.search(r'"(sfr|sfrplus|esfriso|sfrreg|checkerboard|uniformity)results"', start) is not None
 
 
 def read(text: str, where: str, *, edge: int | None) -> GivenTable:
@@ -33,12 +33,14 @@ def read(text: str, where: str, *, edge: int | None) -> GivenTable:
     InputError
         For a layout that is not known.
     """
-    if text.lstrip().startswith("{"):
-        return _json(text, where, edge)
-    if re.search(r"uniformity|light falloff", text[:2000], re.IGNORECASE):
+    is_json = text.lstrip().startswith("{")
+    if re.search('"uniformityresults"' if is_json else "uniformity|light falloff", text[:2000], re.IGNORECASE):
         raise InputError(
-            f"{where}: is of Imatest's Uniformity module, whose table is not documented; give radius_mm and value as a curve"
+            f"{where}: is of Imatest's Uniformity module, whose table is not documented; give its fall-off as a curve, two "
+            "columns radius_mm,value in a file of their own: isetval compare MODEL curve.csv --as relative_illumination"
         )
+    if is_json:
+        return _json(text, where, edge)
     lines = [[cell.strip() for cell in re.split(r"[,;\t]", line)] for line in text.splitlines()]
     for i, cells in enumerate(lines):
         if _axis(cells[0]) and len(cells) > 1 and any(cell.lower().startswith("mtf") for cell in cells[1:]):

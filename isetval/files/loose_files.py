@@ -16,6 +16,7 @@ from isetval.core.paths import common_folder, seen_from
 from isetval.core.sensor import RoiLike, Window
 from isetval.files.captures import FileCaptures
 from isetval.files.file_facts import FileFacts, by_level, facts_of
+from isetval.files.raw_files import files_below, nothing_in
 from isetval.files.target_search import find_targets
 from isetval.measure.campaign import measure_campaign
 from isetval.measure.shot_summaries import plane_levels
@@ -88,45 +89,6 @@ def raw_files(paths: Iterable[Path], *, said: bool = False) -> list[Path]:
         else:
             raise InputError(f"{path}: does not exist; check the path")
     return list(dict.fromkeys(found))
-
-
-def nothing_in(folder: Path) -> str:
-    """Why nothing of a folder can be measured, and what would help: pictures that lack levels, or nothing at all."""
-    from isetval.files.image_file import SUFFIXES
-
-    lacking = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
-    if not lacking:
-        return f"{folder}: holds no DNG file at any level, nor another raw picture; name files or their folder"
-    return (
-        f"{folder}: its {len(lacking)} pictures ({lacking[0].relative_to(folder)} ...) say neither levels nor pattern; write "
-        f'cfa = "RGGB" (or "MONO"), black_dn = 0, bits = 8 (or white_dn) and pixel_um into {folder / "images.toml"}: '
-        "docs/formats.md shows one that also reads exposure times from file names "
-        "(or say them: isetval measure --cfa RGGB --bits 8 --black-dn 0)"
-    )
-
-
-def files_below(folder: Path, *, said: bool = False) -> list[Path]:
-    """The raw files of a folder and of all folders in it, by name; hidden files and folders are left alone.
-
-    TIFF, PNG and NumPy files are raw data only where a sidecar states their levels (or somebody ``said`` them): others are
-    anybody's pictures.
-    """
-    from isetval.files.capture_file import CAPTURE_SUFFIXES
-    from isetval.files.image_file import SUFFIXES
-    from isetval.files.sidecar import find_sidecar
-
-    def usable(path: Path) -> bool:
-        suffix = path.suffix.lower()
-        return (
-            suffix in CAPTURE_SUFFIXES and path.is_file() and (suffix not in SUFFIXES or said or find_sidecar(path) is not None)
-        )
-
-    hidden = (".", "__MACOSX")
-    return sorted(
-        path
-        for path in folder.rglob("*")
-        if usable(path) and not any(part.startswith(hidden) for part in path.relative_to(folder).parts)
-    )
 
 
 def measure_files(

@@ -138,26 +138,30 @@ def _descended(
     """Where Gauss-Newton steps end that make the cost least which error bars of these families have."""
     state = FitState.at(problem, start, free, pose, families)
     matrix = jacobian(problem, state.posed(start, free), free)
-    radius, failures = RADIUS, 0
-    converged = state.is_close(matrix)
-    for _ in range(0 if converged else iterations):
+    radius, failures, of_here = RADIUS, 0, False
+    for _ in range(iterations):
+        if state.is_close(matrix):
+            if not of_here:  # derivatives of the place before say so: those of the place itself may promise more
+                matrix, of_here = jacobian(problem, state.posed(start, free), free, both_sides=True), True
+            if state.is_close(matrix):
+                break
         step, promised, length = next_step(matrix, state, radius)
         moved = state.moved(problem, start, free, step)
         fell = state.cost - moved.cost
         failures = 0 if fell > state.rounding else failures + 1
-        helps = fell > 0 or is_closer(matrix, moved, state)
-        if helps:
-            state = moved
+        if fell > 0 or is_closer(matrix, moved, state):
+            state, of_here = moved, False
             if fell < 0.25 * promised:
                 radius = length / 2
             elif fell > TRUSTED * promised:
                 radius = max(radius, 2 * length)
         else:
             radius = length / 6
-        converged = state.is_close(matrix)
-        if converged or failures > MAX_FAILURES:
+        if failures > MAX_FAILURES:
             break
-        matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if fell > TRUSTED * promised else 0.0)
+        if not state.is_close(matrix):
+            matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if fell > TRUSTED * promised else 0.0)
+    converged = state.is_close(matrix)
     if free and converged and iterations:
         state = state.led(problem, free, matrix)
     matrix = jacobian(problem, state.posed(start, free), free, both_sides=True)

@@ -13,6 +13,7 @@ import pytest
 
 import isetval
 from isetval.app.cli import main
+from isetval.core.errors import InputError
 from isetval.core.toml import data_folder
 from isetval.files.dng.writer import DngInfo
 
@@ -520,3 +521,48 @@ def test_from_the_folder_to_the_hidden_effect_without_an_editor_but_for_the_spec
     rows = [r for r in found["ladder"] if r["model"].endswith("read_noise") and r["mean_square_z"] is not None]
     for row in rows:  # nothing that init read off the files is wrong: every family agrees within its own scatter
         assert row["mean_square_z"] < 1 + 4.5 * np.sqrt(2 / row["n"]), row
+
+
+def test_copies_are_left_out_and_frames_that_round_to_one_code_are_not(tmp_path, capsys):
+    """Noise that is there twice looks like agreement; two darks without noise may well be the same bytes."""
+    import shutil
+
+    rng = np.random.default_rng(8)
+    (tmp_path / "lab").mkdir()
+    for i in range(2):
+        _write(tmp_path / "lab" / f"IMG_{i}.dng", np.zeros((64, 64)), 0.01, rng)
+    shutil.copytree(tmp_path / "lab", tmp_path / "lab" / "lab (1)")
+    assert main(["campaign", "init", str(tmp_path / "lab")]) == 0
+    assert "lab (1)/IMG_0.dng: is a copy of IMG_0.dng, byte by byte" in capsys.readouterr().out
+    assert [shot.frames for shot in isetval.load_campaign(tmp_path / "lab").shots] == [2]
+    (tmp_path / "even").mkdir()
+    (tmp_path / "even" / "images.toml").write_text('cfa = "RGGB"\nblack_dn = 0\nbits = 8\npixel_um = 2\nexposure_s = 0.1\n')
+    for i in range(2):
+        np.save(tmp_path / "even" / f"{i}.npy", np.zeros((64, 64), np.uint8))
+    assert main(["campaign", "init", str(tmp_path / "even")]) == 0
+    assert [shot.frames for shot in isetval.load_campaign(tmp_path / "even").shots] == [2]
+
+
+def test_a_campaign_that_lies_there_and_a_folder_that_may_not_be_written_are_told_before_anything_is_read(tmp_path, monkeypatch):
+    from isetval.files import draft
+
+    (tmp_path / "campaign.toml").write_text("mine")
+    (tmp_path / "a.dng").write_bytes(b"not looked at")
+    with pytest.raises(InputError, match=r"campaign\.toml: exists already; rename it first \(nothing was written\)"):
+        draft.check_free(tmp_path, "campaign.toml")
+    assert main(["campaign", "init", str(tmp_path)]) == 3
+    assert (tmp_path / "campaign.toml").read_text() == "mine"
+    monkeypatch.setattr(draft.os, "access", lambda *_: False)
+    with pytest.raises(InputError, match="copy the folder to a disk of yours"):
+        draft.check_free(tmp_path, "campaign.html")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("a.jpg", "were processed and compressed"), ("a.raw", "--raw-shape"), ("a.bmp", "save them as TIFF")]
+)
+def test_what_people_have_in_place_of_raw_pictures_gets_a_sentence(tmp_path, capsys, name, words):
+    (tmp_path / name).write_bytes(b"x")
+    assert main(["campaign", "init", str(tmp_path)]) == 3
+    said = capsys.readouterr().err
+    assert f"its 1 files like {name}" in said
+    assert words in said

@@ -144,9 +144,13 @@ def test_imatest_regions_of_csv_and_json(tmp_path):
     assert values(read(tmp_path, "m.json", content, sigma=0.01, edge=1)) == [("mtf50", "", None, 0.3)]
 
 
-def test_imatest_uniformity_is_refused_with_what_to_do(tmp_path):
-    with pytest.raises(InputError, match="give radius_mm and value as a curve"):
-        read(tmp_path, "u.csv", "Imatest,5.2,Uniformity\n\nWorst corner,71.2\n", sigma=0.01)
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("u.csv", "Imatest,5.2,Uniformity\n\nWorst corner,71.2\n"), ("u.json", '{"uniformityResults": {"worst_corner": [71.2]}}')],
+)
+def test_imatest_uniformity_is_refused_with_what_to_do(tmp_path, name, text):
+    with pytest.raises(InputError, match=r"two columns radius_mm,value .*isetval compare MODEL curve\.csv --as"):
+        read(tmp_path, name, text, sigma=0.01)
 
 
 def test_emva_xml_with_decimal_commas_and_sections(tmp_path):

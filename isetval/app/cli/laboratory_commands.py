@@ -180,15 +180,22 @@ def campaign_init(args: argparse.Namespace, console: Console) -> Outcome:
     """Group and register the raw files of a folder into a campaign.toml that runs at once; campaign.html shows what was found."""
     from isetval.app.report.campaign_page import write_campaign_page
     from isetval.core.cache import file_hash
+    from isetval.core.errors import InputError
     from isetval.core.toml import PACKAGE_PREFIX
     from isetval.files.chart_parts import write_chart_parts
-    from isetval.files.draft import draft_campaigns, write_draft
+    from isetval.files.draft import check_free, draft_campaigns, write_draft
     from isetval.files.draft_text import sentences
-    from isetval.files.emva_descriptor import find_emva_descriptor
+    from isetval.files.emva_lines import descriptors_below, find_emva_descriptor
 
     descriptor = find_emva_descriptor(args.folder)
     if descriptor is not None:
         return _init_from_descriptor(descriptor, args.camera, console)
+    if below := descriptors_below(args.folder):
+        raise InputError(
+            f"{args.folder}: has no EMVA 1288 descriptor of its own, but {len(below)} in its sub-folders; "
+            f"give each set by itself: isetval campaign init {below[0].parent}"
+        )
+    check_free(args.folder, "campaign.toml", "campaign.html")
     console.say(f"reading the files of {args.folder}")
     draft, *others = draft_campaigns(args.folder, role=args.role, camera=args.camera, scene=args.scene, progress=console.progress)
     roles = [shot.role for shot in draft.shots]

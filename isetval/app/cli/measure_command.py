@@ -182,7 +182,7 @@ def _emva_xml(output: str, sheets: Sequence[Sheet]) -> bytes:
 
 def is_campaign(path: Path) -> bool:
     """Whether a path is a campaign: its file, its folder, or one with an EMVA 1288 descriptor."""
-    from isetval.files.emva_descriptor import find_emva_descriptor
+    from isetval.files.emva_lines import find_emva_descriptor
 
     own = (path / "campaign.toml").is_file() or path.suffix.lower() == ".toml"
     return own or find_emva_descriptor(path) is not None

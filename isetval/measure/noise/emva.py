@@ -94,7 +94,7 @@ def emva1288(
     result = transfer_of_setups(setups, roi, photons_per_pixel=photons_per_pixel)
     rows: list[EmvaRow] = []
     for plane, transfer in result.items():
-        rows += _general(plane, transfer, photons_per_pixel_s)
+        rows += _general(plane, transfer, photons_per_pixel_s, photons_per_pixel)
         rows += _patterns(plane, transfer)
     if setups.dark:
         rows += _dark_rows(setups.frames(setups.dark), roi, result)
@@ -105,7 +105,7 @@ def _row(plane: str, name: str, symbol: str, q: Quantity, note: str = "") -> Emv
     return EmvaRow(plane, name, symbol, q.value, q.total_sigma, q.unit, "; ".join(filter(None, (note, q.note))))
 
 
-def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaRow]:
+def _general(plane: str, t: PlaneTransfer, flux: float | None, photons: Sequence[float | None] | None) -> Iterable[EmvaRow]:
     gain, read = t.gain_dn_per_e, t.read_noise_e
     yield _row(plane, "overall system gain", "K", gain, "weighted fit, not a line through zero")
     yield _row(plane, "temporal dark noise", "sigma_d", read, "rounding removed exactly; read and reset noise together")
@@ -117,14 +117,15 @@ def _general(plane: str, t: PlaneTransfer, flux: float | None) -> Iterable[EmvaR
     yield _row(plane, "sensitivity threshold", "mu_e.min", threshold_e, "signal-to-noise ratio 1")
     yield _row(plane, "dynamic range", "DR", reach.dynamic_range_db)
     yield _row(plane, "maximum signal-to-noise ratio", "SNR_max", reach.snr_max_db)
-    low, high = linearity_error(t)
-    yield _row(plane, "linearity error, lowest", "LE_min", low, "5 to 95 % of saturation, over exposure time")
-    yield _row(plane, "linearity error, highest", "LE_max", high, "5 to 95 % of saturation, over exposure time")
+    low, high = linearity_error(t, photons)
+    over = f"5 to 95 % of saturation, over {'exposure time' if photons is None else 'photons'}"
+    yield _row(plane, "linearity error, lowest", "LE_min", low, over)
+    yield _row(plane, "linearity error, highest", "LE_max", high, over)
     efficiency = _efficiency(t, flux)
     yield _row(plane, "quantum efficiency", "eta", efficiency, "" if math.isfinite(efficiency.value) else NO_PHOTONS)
-    photons = threshold_e.over(efficiency.scaled(0.01, "1"), "photons")
+    threshold = threshold_e.over(efficiency.scaled(0.01, "1"), "photons")
     yield _row(
-        plane, "absolute sensitivity threshold", "mu_p.min", photons, "" if math.isfinite(efficiency.value) else NO_PHOTONS
+        plane, "absolute sensitivity threshold", "mu_p.min", threshold, "" if math.isfinite(efficiency.value) else NO_PHOTONS
     )
 
 
@@ -174,18 +175,23 @@ def saturation_level(t: PlaneTransfer) -> Quantity:
     return Quantity((low + high) / 2, abs(high - low) / math.sqrt(12), "DN")
 
 
-def linearity_error(t: PlaneTransfer) -> tuple[Quantity, Quantity]:
-    """Smallest and largest relative departure from the line fitted with relative weights, %."""
+def linearity_error(t: PlaneTransfer, photons: Sequence[float | None] | None = None) -> tuple[Quantity, Quantity]:
+    """Smallest and largest relative departure from the line fitted with relative weights, %.
+
+    Over the ``photons`` of the captures where they are stated, as the standard has it, else over exposure times.
+    """
     nothing = Quantity(math.nan, math.nan, "%")
     top = saturation_level(t).value
-    levels = [level for level in t.levels if level.used and level.time_s and 0.05 * top <= level.mean_dn <= 0.95 * top]
-    if len({level.time_s for level in levels}) < 3:
+    middle = [level for level in t.levels if level.used and 0.05 * top <= level.mean_dn <= 0.95 * top]
+    stated = [(level, level.time_s if photons is None else photons[level.numbers[0]]) for level in middle]
+    levels = [level for level, exposure in stated if exposure]
+    x = np.array([exposure for _, exposure in stated if exposure], dtype=float)
+    if np.unique(x).size < 3:
         return nothing, nothing
-    time = np.array([level.time_s for level in levels], dtype=float)
     mean = np.array([level.mean_dn for level in levels])
-    design = np.stack([time, np.ones_like(time)], axis=1) / mean[:, None]
-    theta = np.linalg.lstsq(design, np.ones_like(mean), rcond=None)[0]
-    error = 100 * (mean / (theta[0] * time + theta[1]) - 1)
+    design = np.stack([x / x.max(), np.ones_like(x)], axis=1)
+    theta = np.linalg.lstsq(design / mean[:, None], np.ones_like(mean), rcond=None)[0]
+    error = 100 * (mean / (design @ theta) - 1)
     sigma = np.array(
         [100 * math.hypot(level.mean_sigma_dn, _jitter(level.frame_scatter, level.frames)) / level.mean_dn for level in levels]
     )

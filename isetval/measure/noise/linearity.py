@@ -245,12 +245,21 @@ def nonlinearity(response: MeanResponse, mean_dn: Float) -> Quantity:
     return Quantity(value, float(math.sqrt(max(powers @ bend.covariance @ powers, 0.0))))
 
 
-def quantum_efficiency(response: MeanResponse, mean_dn: Float, gain: Quantity) -> Quantity:
-    """Electrons per photon, %: rate of the straightened means over stated photons, over K; nan without photons."""
-    if response.basis != "photon numbers":
+def quantum_efficiency(response: MeanResponse, mean_dn: Float, gain: Quantity, photons: Sequence[float | None] = ()) -> Quantity:
+    """Electrons per photon, %: rate of the straightened means over stated photons, over K; nan without photons.
+
+    Where the means were not held against the photons (fewer than `LEAST_LEVELS`, or two levels of one number), they are taken
+    to be straight; the scatter of the rates, which a bend adds to, is the error.
+    """
+    if response.basis == "photon numbers":
+        linear = mean_dn if response.response is None else response.response.linear(mean_dn)
+        stated = response.exposure
+    else:
+        linear, stated = mean_dn, np.array([value or 0.0 for value in photons] or np.zeros(mean_dn.size))
+    lit = stated > 0
+    if not lit.any():
         return Quantity(math.nan, math.nan, "%")
-    linear = mean_dn if response.response is None else response.response.linear(mean_dn)
-    rate = response.rate(linear)
-    value = float(np.average(rate, weights=response.exposure[response.exposure > 0]))
-    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size)
+    rate = linear[lit] / stated[lit]
+    value = float(np.average(rate, weights=stated[lit]))
+    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size) if rate.size > 1 else 0.0
     return Quantity(100 * value, 100 * error, "%").over(gain, "%")

@@ -203,7 +203,7 @@ def _from_curve(
         nonlinearity=nonlinearity(response, _means(used)),
         brighter_fatter_per_e=Quantity(-bend.value, bend.sigma, "1/e-") if response.known else Quantity(NAN, NAN, "1/e-"),
         neighbor_covariance_per_e=neighbors,
-        quantum_efficiency=quantum_efficiency(response, _means(used), gain),
+        quantum_efficiency=quantum_efficiency(response, _means(used), gain, [of.photons_of(level) for level in used]),
         exposure_offset=response.offset,
         linearity_from=response.basis,
         level_scatter_percent=100 * settled.scatter,
