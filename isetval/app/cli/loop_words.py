@@ -178,7 +178,9 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
     lines += next_lines(result["next_captures"])
     lines += ["", *ladder_table(result["ladder"])]
     lines += [f"note: {note}" for note in gathered(result["notes"])]
-    if hint and result["effects"] and result["verdict"] != "unfinished":  # what a search holds when it is stopped may be taken back
+    if (
+        hint and result["effects"] and result["verdict"] != "unfinished"
+    ):  # what a search holds when it is stopped may be taken back
         first = f" {result['effects'][0]['name']}" if len(result["effects"]) == 1 else ""  # none: all of them
         lines += ["", f"next: isetval add {hint['model']}{first} --from {hint['diagnosis']} -o model2.toml"]
     return lines
