@@ -198,8 +198,8 @@ class SensorTilt(Effect):
 class AxialColor(Effect):
     """Best focus that depends on colour.
 
-    Stated as the focus shift of the red (610 nm) and blue (460 nm) end relative to 540 nm, linear
-    between and constant outside, so that each channel's best focus moves by nearly its own number.
+    Stated as the focus shift of red (610 nm) and blue (460 nm) relative to 540 nm, linear in 1/wavelength^2 on either side and
+    beyond, as glass disperses: each channel's best focus moves by nearly its own number.
     """
 
     name = "axial_color"

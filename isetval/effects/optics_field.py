@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.signal import Layer, Moved, Signal
-from isetval.effects.pupil import BLUE_NM, GREEN_NM, RED_NM, REFERENCE_NM, field_point
+from isetval.effects.pupil import REFERENCE_NM, by_dispersion, field_point
 
 Float = NDArray[np.float64]
 
@@ -193,8 +193,8 @@ class LateralColor(Effect):
         "axial_color",
     )
     free = FreeAxis("field radius", "strength", 0.5)
-    equation = "dx_c = a_c r outwards; a(610) = a_R, a(540) = 0, a(460) = a_B, linear between"
-    reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 11 (lateral color)"
+    equation = "dx_c = a_c r outwards; a(610) = a_R, a(540) = 0, a(460) = a_B, linear in 1/lambda^2 on either side"
+    reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 11 (lateral color); Cauchy's law for the wavelength"
     must_not_change = ("dark", "flat", "illumination")
 
     red_px: float = parameter(0.0, unit="px", low=-50.0, high=50.0, tau=0.5, doc="shift a_R at the corner, 610 nm")
@@ -208,7 +208,7 @@ class LateralColor(Effect):
         return signal.blurred(Moved(partial(_outwards, x, y, self._shift)))
 
     def _shift(self, wavelength_nm: Float) -> Float:
-        return np.asarray(np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (self.blue_px, 0.0, self.red_px)))
+        return by_dispersion(wavelength_nm, self.red_px, self.blue_px)
 
 
 @dataclass(frozen=True, kw_only=True)

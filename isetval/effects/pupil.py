@@ -44,7 +44,7 @@ class CircularPupil:
     focus_um : float
         Shift z of the sensor from best focus in um, away from the lens.
     red_um, blue_um : float
-        Further focus shift at 610 and at 460 nm relative to 540 nm; linear between, constant outside.
+        Further focus shift at 610 and at 460 nm relative to 540 nm; linear in 1/wavelength^2 (`by_dispersion`).
     spherical_waves, coma_x_waves, coma_y_waves, astigmatism_0_waves, astigmatism_45_waves : float
         Orthonormal (Noll) Zernike coefficients in waves at 550 nm, that is rms wavefront errors.
 
@@ -131,7 +131,7 @@ class CircularPupil:
     def _focus(self, wavelength_nm: Float) -> Float | float:
         if not (self.red_um or self.blue_um):
             return self.focus_um
-        return np.asarray(self.focus_um + axial_um(wavelength_nm, self.red_um, self.blue_um))
+        return np.asarray(self.focus_um + by_dispersion(wavelength_nm, self.red_um, self.blue_um))
 
     def _turns(self) -> bool:
         """Whether it is another in another direction."""
@@ -167,9 +167,14 @@ def _evaluated(spline: Any, fy: Float, fx: Float) -> Float:
     return np.asarray(spline(rows, cols)[np.ix_(at_row, at_col)])
 
 
-def axial_um(wavelength_nm: Float | float, red_um: float, blue_um: float) -> Float:
-    """Focus shift by wavelength: ``red_um`` at 610 and ``blue_um`` at 460 nm relative to 540 nm, linear between, held outside."""
-    return np.asarray(np.interp(wavelength_nm, (BLUE_NM, GREEN_NM, RED_NM), (blue_um, 0.0, red_um)))
+def by_dispersion(wavelength_nm: Float | float, red: float, blue: float) -> Float:
+    """What glass does to a quantity by wavelength: ``red`` at 610 nm, 0 at 540 and ``blue`` at 460, linear in 1/wavelength^2.
+
+    Cauchy's law (Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., sec. 5.1), on either side of green and beyond.
+    """
+    u, green = np.asarray(wavelength_nm, float) ** -2, GREEN_NM**-2
+    toward_red, toward_blue = (u - green) / (RED_NM**-2 - green), (u - green) / (BLUE_NM**-2 - green)
+    return np.asarray(np.where(u < green, red * toward_red, blue * toward_blue))
 
 
 def thin_lens_shift_um(focal_mm: float, focus_m: float | None, object_m: float | None) -> float:

@@ -16,7 +16,7 @@ from isetval.core.effect import Effect, parameter, table_file
 from isetval.core.errors import InputError
 from isetval.core.signal import Layer, Signal
 from isetval.core.toml import resolve_path
-from isetval.effects.pupil import CircularPupil, axial_um, field_point, thin_lens_shift_um
+from isetval.effects.pupil import CircularPupil, by_dispersion, field_point, thin_lens_shift_um
 from isetval.lens.field_table import field_table
 from isetval.lens.focus import film_for_object, object_for_film
 from isetval.lens.illumination import effective_f_number
@@ -87,7 +87,7 @@ class TracedPupil:
 
     def _at(self, table: SpotTable, fx: Float, fy: Float, wavelength_nm: float) -> NDArray[np.complex128]:
         """One wavelength."""
-        shift_um = self.focus_um + float(axial_um(wavelength_nm, self.red_um, self.blue_um))
+        shift_um = self.focus_um + float(by_dispersion(wavelength_nm, self.red_um, self.blue_um))
         film = round(self.film_mm + 1e-3 * shift_um, 7)
         if max(fx.size, fy.size) > FEW or fx.ndim > 1:
             return table.otf(fx, fy, point_mm=self.point_mm, film_mm=film, wavelength_nm=wavelength_nm)
