@@ -23,6 +23,7 @@ STRAIGHT = (
     4.0  # sigmas of a finite step where metrics bend: of both sides the cubic part is left, and frames without noise add none
 )
 LONG = 2 * STRAIGHT  # beyond which a step is shortened
+SHORTER = 4.0  # by which steps of light are shortened where rows come out otherwise than derivatives foretold
 KINK = 2.0  # ratio of slopes ahead and behind beyond which one is of a saturated level; of a square at half steps it is 1.7
 
 
@@ -111,6 +112,19 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
             if whole
             else Column(np.where(part.predicted, slope, old.slope), {**old.taken_at, **{k: here[k] for k in moved[f.label]}})
         )
+
+
+def take_shorter_steps(problem: Problem, free: Sequence[Parameter], rows: Float) -> None:
+    """Forget the columns of light and the like that have a part in whitened ``rows``: the next are taken in a quarter of the step.
+
+    A level that ends on a plateau (full well below the converter's end) rises on one side of it only: its slope over a whole
+    tolerance of the light is that of neither side, and a fit that believes it ends where the light is 25 sigmas off.
+    """
+    for f, column in zip(free, rows.T, strict=True):
+        step = problem.steps.get(f.label, f.step)
+        if f.is_nuisance and f.unit == "relative" and not f.patch and step > LEAST_FACTOR and np.any(column):
+            problem.steps[f.label] = max(step / SHORTER, LEAST_FACTOR)
+            problem.columns.pop(f.label, None)
 
 
 def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> list[Float]:

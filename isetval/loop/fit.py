@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
-from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, jacobian
+from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, jacobian, take_shorter_steps
 from isetval.loop.family_scales import Families
 from isetval.loop.fit_state import FitState, is_closer, next_step
 from isetval.loop.gaussian import hessian
@@ -22,6 +22,7 @@ ALIKE = 2.0  # mean square of what is left up to which the stated error bars sta
 # scatters three times as far as it says
 MAX_FAILURES = 2  # steps in a row that help no more than rounding may: a third would be below the fit's own noise
 RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
+FORETOLD = 3.0  # sigmas by which a row may come out other than a step foretold before the light's derivatives are taken anew
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
 TRUSTED = 0.75  # of a promised fall: derivatives that predicted so much of it are kept (as trust regions grow, More 1978)
 
@@ -148,6 +149,8 @@ def _descended(
         step, promised, length = next_step(matrix, state, radius)
         moved = state.moved(problem, start, free, step)
         fell = state.cost - moved.cost
+        foretold_wrong = np.abs(moved.z - state.stepped(matrix, moved.values - state.values).z) > FORETOLD
+        take_shorter_steps(problem, free, matrix[foretold_wrong])
         failures = 0 if fell > state.rounding else failures + 1
         if fell > 0 or is_closer(matrix, moved, state):
             state, of_here = moved, False

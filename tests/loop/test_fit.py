@@ -327,3 +327,30 @@ def test_a_blur_that_the_model_lacks_turns_no_edge(blur):
     # two prior sigmas cost 4; where nothing is left over, contrasts tell the angle to SIGMA over their slope of .15 a degree
     assert abs(found.value(ANGLE)[0] - 0.05) < (0.2 if blur else 3 * SIGMA / 0.15)
     assert found.value(LEVEL)[0] == pytest.approx(0.03, abs=0.02 if blur else 0.003)
+
+
+class Plateau(Product):
+    """Levels of one light, of which the brightest runs into a plateau as smooth as its pixels' spread makes it."""
+
+    levels = np.array([78.0, 246.0, 752.0, 1641.0, 2598.0, 3560.0])
+    table = SimpleNamespace(metrics=[Metric("mean", 0.0, 1.0, "DN", family="flat_mean")] * levels.size)
+
+    @staticmethod
+    def at(values):
+        below = (3600.0 - Plateau.levels * (1 + values[0])) / 30.0
+        return 3600.0 - 30.0 * np.logaddexp(0.0, below)
+
+
+@pytest.mark.parametrize("light", [-0.03, -0.01, 0.0, 0.02, 0.0375])
+def test_a_level_on_a_plateau_does_not_hold_the_light_where_it_was_stated(light):
+    """Full well ends below the converter: the slope of a whole tolerance is neither that below the plateau nor that on it."""
+    camera = Plateau(("light_level",))
+    free = (Parameter("light_level", scope="campaign", unit="relative", prior=0.02, step=0.02, low=-1.0, factor=True),)
+    nominal = camera.at([0.0])
+    sigma = np.where(nominal > 3500, 0.2, 6e-4 * nominal)  # flicker of the light moves no level that stands on the plateau
+    base = Base(nominal, np.diag(sigma**2), np.zeros((16, 6)), np.ones(6))
+    whiten = np.diag(1 / sigma)
+    case = Problem(camera, Point(SimpleNamespace()), base, camera.at([light]), np.arange(6), whiten, nominal, base.covariance)
+    found = fit(case, Point(SimpleNamespace()), free)
+    assert found.converged
+    assert found.value("light_level@campaign:")[0] == pytest.approx(light, abs=2e-4)
