@@ -115,7 +115,7 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
 
 
 def take_shorter_steps(problem: Problem, free: Sequence[Parameter], rows: Float) -> None:
-    """Forget the columns of light and the like that have a part in whitened ``rows``: the next are taken in a quarter of the step.
+    """Forget columns of light and the like that have a part in whitened ``rows``: the next are taken in a quarter of the step.
 
     A level that ends on a plateau (full well below the converter's end) rises on one side of it only: its slope over a whole
     tolerance of the light is that of neither side, and a fit that believes it ends where the light is 25 sigmas off.

@@ -278,7 +278,7 @@ def _refit(case: Investigation, say: Say, *, first: bool) -> None:
         best = max(case.score(h) for h in case.known.values())
         if not first and case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing)):
             break
-        if not _may_be_found(case, names):
+        if not first and not _may_be_found(case, names):
             continue
         say(f"fitting {', '.join(sorted(names))}")
         fitted.append(fitted_jointly(case, names))
