@@ -152,8 +152,8 @@ def test_lateral_colour_moves_edges_outwards_by_colour(place):
         (610.0, 0.8),
         (540.0, 0.0),
         (460.0, -0.5),
-        (575.0, 0.54556 * 0.8),
-        (430.0, -1.5247 * 0.5),
+        (575.0, 0.545596 * 0.8),
+        (430.0, -1.526347 * 0.5),
     ):  # 1/wavelength^2
         assert edge_shift(effect, context, wavelength_nm) == pytest.approx(shift * x, abs=2e-3)  # window cuts the far tails
     mirrored = place(window=(2896, 0, 128, 128))
