@@ -70,6 +70,7 @@ class GainKnee(Effect):
         "linearization_table",
         "digital_gain",
     )
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"knee_e": (2000.0, 500.0, 1000.0, 4000.0, 8000.0)}
     equation = "x for x < mu_k; mu_k + (x - mu_k)(1 + s) above"
     reference = "Fossum & Hondongwa, IEEE J. Electron Devices Soc. 2 (2014) 33 (dual conversion gain)"
     must_not_change = ("dark",)
