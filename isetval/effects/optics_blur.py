@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -335,6 +337,7 @@ class MotionBlur(Effect):
         "coma",
     )
     free = FreeAxis("frequency", "transfer", 0.5)
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"angle_deg": (0.0, 45.0, 90.0)}
     equation = "MTF x sinc(l (fx cos phi + fy sin phi))"
     reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., sec. 10.6 (linear motion)"
     must_not_change = ("dark", "flat", "illumination")
