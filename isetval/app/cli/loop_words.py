@@ -165,6 +165,7 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
         scan = f" ({low:.2f} to {high:.2f} with prior widths 3 times wider or narrower)" if high - low > 0.01 else ""
         lines.append(f"    posterior {probability_words(effect['posterior'], 3)}{scan}{also}")
         lines += _form_lines(effect)
+    lines += _rival_lines(result)
     chances = result.get("probabilities") or {}
     if chances:
         said = ", ".join(f"{words} {probability_words(chances[key], 3)}" for key, words in CHANCES.items() if key in chances)
@@ -178,9 +179,8 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
     lines += next_lines(result["next_captures"])
     lines += ["", *ladder_table(result["ladder"])]
     lines += [f"note: {note}" for note in gathered(result["notes"])]
-    if (
-        hint and result["effects"] and result["verdict"] != "unfinished"
-    ):  # what a search holds when it is stopped may be taken back
+    stands = result["verdict"] != "unfinished"  # what a search holds when it is stopped may be taken back
+    if hint and result["effects"] and stands:
         first = f" {result['effects'][0]['name']}" if len(result["effects"]) == 1 else ""  # none: all of them
         lines += ["", f"next: isetval add {hint['model']}{first} --from {hint['diagnosis']} -o model2.toml"]
     return lines
@@ -192,11 +192,33 @@ def _candidate_lines(candidates: Sequence[Mapping[str, Any]], count: int = 8) ->
         return []
     body = []
     for c in sorted(seen, key=lambda c: (c["p_corrected"], -(c["dchi2"] or 0)))[:count]:
-        estimate = ", ".join(f"{k} {with_sigma(p['value'], p['sigma'])}" for k, p in c["estimate"].items())
+        estimate = _estimate_words(c)
         posterior = "" if c["posterior"] is None else f"{c['posterior']:.3f}"
         body.append((c["name"], estimate, f"{c['dchi2']:.1f}", chance_words(c["p_corrected"]), posterior))
     header = ("candidate", "one-step estimate", "dchi2", "p (look-elsewhere)", "posterior")
     return ["", f"# suspects (of {len(seen)} observable candidates)", *text_table(header, body)]
+
+
+def _estimate_words(candidate: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {with_sigma(p['value'], p['sigma'])}" for name, p in candidate["estimate"].items())
+
+
+RIVALS_TOLD = 3
+STRONG = 3.0  # in ln evidence against nothing: "strong" begins there (Kass and Raftery 1995)
+
+
+def _rival_lines(result: Mapping[str, Any]) -> list[str]:
+    """What alone would explain something of what the first named effect does, and by how much it falls behind that alone."""
+    best: dict[str, Mapping[str, Any]] = {}
+    for c in sorted(result["candidates"], key=lambda c: -(c["log_evidence"] or 0.0)):
+        best.setdefault(c["name"].split(" (")[0], c)  # of the forms of one effect the likeliest
+    named = [effect["name"] for effect in result["effects"]]
+    if not named or named[0] not in best:
+        return []
+    alone = best[named[0]]["log_evidence"] or 0.0
+    rivals = [c for name, c in best.items() if name not in named and (c["log_evidence"] or 0.0) > STRONG][:RIVALS_TOLD]
+    told = [f"{c['name']} {c['log_evidence'] - alone:+.1f} ({_estimate_words(c)})" for c in rivals]
+    return [f"  rivals of {named[0]}, each alone, in ln evidence against it: {'; '.join(told)}"] if told else []
 
 
 def _form_lines(effect: Mapping[str, Any]) -> list[str]:
