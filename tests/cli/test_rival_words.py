@@ -3,10 +3,9 @@
 from isetval.app.cli.loop_words import diagnosis_lines
 
 
-def candidate(name, log_evidence, value):
+def candidate(name, dchi2, value):
     estimate = {"p": {"value": value, "sigma": 1.0}}
-    rest = {"dchi2": 1.0, "p_corrected": 1.0, "posterior": 0.0, "observable": True}
-    return {"name": name, "log_evidence": log_evidence, "estimate": estimate, **rest}
+    return {"name": name, "dchi2": dchi2, "estimate": estimate, "p_corrected": 1.0, "posterior": 0.0, "observable": True}
 
 
 def result(*candidates):
@@ -24,22 +23,22 @@ def told(found):
 
 
 def test_the_film_is_a_rival_of_an_angular_loss():
-    """The best form of each other effect counts once; what is no strong evidence by itself is no rival."""
+    """The best form of each other effect counts once; what explains less than half is no rival."""
     (line,) = told(
         result(
-            candidate("pixel_angular_response", 900.0, 0.1),
-            candidate("pixel_angular_response (form sin2)", 899.0, 0.1),
-            candidate("vignetting (power 1)", 500.0, 0.2),
-            candidate("vignetting", 450.0, 0.2),
-            candidate("ray_transfer", 880.5, -210.0),
-            candidate("dust", 2.0, 1.0),
+            candidate("pixel_angular_response", 2400.0, 0.1),
+            candidate("pixel_angular_response (form sin2)", 2399.0, 0.1),
+            candidate("vignetting (power 1)", 1800.0, 0.2),
+            candidate("vignetting", 1700.0, 0.2),
+            candidate("ray_transfer", 2376.0, -210.0),
+            candidate("dust", 1100.0, 1.0),
         )
     )
     assert line == (
-        "  rivals of pixel_angular_response, each alone, in ln evidence against it: "
-        "ray_transfer -19.5 (p -210.0 +- 1.0); vignetting (power 1) -400.0 (p 0.2 +- 1.0)"
+        "  rivals of pixel_angular_response, by what each alone explains at first sight of what it does: "
+        "ray_transfer 99 % (p -210.0 +- 1.0); vignetting (power 1) 75 % (p 0.2 +- 1.0)"
     )
 
 
 def test_without_rivals_nothing_is_said():
-    assert told(result(candidate("pixel_angular_response", 900.0, 0.1), candidate("dust", None, 1.0))) == []
+    assert told(result(candidate("pixel_angular_response", 2400.0, 0.1), candidate("dust", None, 1.0))) == []

@@ -204,21 +204,23 @@ def _estimate_words(candidate: Mapping[str, Any]) -> str:
 
 
 RIVALS_TOLD = 3
-STRONG = 3.0  # in ln evidence against nothing: "strong" begins there (Kass and Raftery 1995)
+HALF = 0.5  # of what the named effect explains: from there on a suspect is a rival
 
 
 def _rival_lines(result: Mapping[str, Any]) -> list[str]:
-    """What alone would explain something of what the first named effect does, and by how much it falls behind that alone."""
+    """What else alone would explain at first sight at least half of what the first named effect does."""
     best: dict[str, Mapping[str, Any]] = {}
-    for c in sorted(result["candidates"], key=lambda c: -(c["log_evidence"] or 0.0)):
-        best.setdefault(c["name"].split(" (")[0], c)  # of the forms of one effect the likeliest
+    for c in sorted(result["candidates"], key=lambda c: -(c["dchi2"] or 0.0)):
+        best.setdefault(c["name"].split(" (")[0], c)  # of the forms of one effect that which explains most
     named = [effect["name"] for effect in result["effects"]]
-    if not named or named[0] not in best:
+    whole = best[named[0]]["dchi2"] if named and named[0] in best else None
+    if not whole:
         return []
-    alone = best[named[0]]["log_evidence"] or 0.0
-    rivals = [c for name, c in best.items() if name not in named and (c["log_evidence"] or 0.0) > STRONG][:RIVALS_TOLD]
-    told = [f"{c['name']} {c['log_evidence'] - alone:+.1f} ({_estimate_words(c)})" for c in rivals]
-    return [f"  rivals of {named[0]}, each alone, in ln evidence against it: {'; '.join(told)}"] if told else []
+    rivals = [c for name, c in best.items() if name not in named and (c["dchi2"] or 0.0) > HALF * whole][:RIVALS_TOLD]
+    told = [f"{c['name']} {100 * c['dchi2'] / whole:.0f} % ({_estimate_words(c)})" for c in rivals]
+    return (
+        [f"  rivals of {named[0]}, by what each alone explains at first sight of what it does: {'; '.join(told)}"] if told else []
+    )
 
 
 def _form_lines(effect: Mapping[str, Any]) -> list[str]:
