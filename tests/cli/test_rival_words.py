@@ -41,4 +41,4 @@ def test_the_film_is_a_rival_of_an_angular_loss():
 
 
 def test_without_rivals_nothing_is_said():
-    assert told(result(candidate("pixel_angular_response", 2400.0, 0.1), candidate("dust", None, 1.0))) == []
+    assert told(result(candidate("pixel_angular_response", 2400.0, 0.1), candidate("dust", 1.0, 1.0))) == []
