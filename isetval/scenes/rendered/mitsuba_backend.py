@@ -24,10 +24,7 @@ Crop = tuple[int, int, int, int]
 # fixed, or Mitsuba halves it where there are more threads than blocks, and the bits depend on the machine
 BLOCK_PX = 16
 NEAR_M, FAR_M = 1e-3, 1e4
-SKY_REACH, SPECK_M = (
-    10.0,
-    1e-5,
-)  # of the largest shape's farthest corner; half the side of a speck, a fifth of a pixel's width at 10 m
+SKY_REACH, SPECK_M = 10.0, 1e-5  # of the farthest corner; half the side of a speck, a hundredth of a pixel wide at 10 m
 
 
 def load_mitsuba(variant: str, library: str = "") -> Any:
