@@ -61,6 +61,16 @@ def test_furnace(bounces):
     assert abs(out.radiance.mean(dtype=float) - expected) < 1e-3 * expected
 
 
+def test_a_white_box_in_an_even_surround_is_as_bright_as_it():
+    spec = cornell_box(bounces=100, ambient_fraction=1.0, blocks=(), charts=(), light_size_m=(1e-3, 1e-3), light_drop_mm=0.02)
+    spec["spectra"] = {name: flat(1.0) for name in spec["spectra"]}
+    inside = {**wall_camera(0.4), **{key: CAMERA[key] for key in ("rows", "cols", "pixel_um")}}
+    out = render(spec, camera=inside, wavelength_nm=[500.0, 600.0], spp=256, seed=3)
+    seen = out.radiance.mean(axis=0, dtype=float)
+    assert abs(seen.mean() - 1) < 2e-3
+    assert np.abs(seen.reshape(4, 6, 4, 8).mean(axis=(1, 3)) - 1).max() < 0.01
+
+
 def test_spectral_product_of_light_and_reflectance():
     reflectance = [360, 500, 560, 830], [0.1, 0.2, 0.7, 0.6]
     sky = [360, 450, 600, 830], [1e-3, 4e-3, 2e-3, 5e-3]

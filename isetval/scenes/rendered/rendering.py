@@ -276,6 +276,9 @@ def _cached_depth(folder: Path | None, tile: Crop, lazy: _LazyTile) -> NDArray[n
     return depth
 
 
+SURROUND = 2  # of how light from outside is rendered; at 1 it passed through the far walls of a box
+
+
 def scene_content(spec: Mapping[str, Any], camera: Mapping[str, Any]) -> dict[str, Any]:
     """What a render depends on: shapes, spectra and camera; not names, targets or where a mesh file lies."""
     shapes = [{k: v for k, v in s.items() if k != "name" and not (k == "file" and "sha256" in s)} for s in spec["shapes"]]
@@ -283,7 +286,7 @@ def scene_content(spec: Mapping[str, Any], camera: Mapping[str, Any]) -> dict[st
     return {
         "shapes": shapes,
         "spectra": spectra,
-        "environment": spec.get("environment"),
+        "environment": [spec["environment"], SURROUND] if spec.get("environment") else None,
         "bounces": spec["bounces"],
         "camera": dict(camera),
     }
