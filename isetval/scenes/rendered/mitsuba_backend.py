@@ -159,7 +159,7 @@ def build_scene(mi: Any, spec: Mapping[str, Any], *, sensor: dict[str, Any], int
         scene[f"shape_{i:04d}"] = shape_plugin(mi, shape, spectra)
     if spec.get("environment") and max(spectra[spec["environment"]]["values"]) > 0:
         scene["environment"] = {"type": "constant", "radiance": spectrum_plugin(spectra[spec["environment"]])}
-        scene |= _sky_markers(mi, spec["shapes"])
+        scene |= _sky_markers(mi, spec["shapes"]) if spec["shapes"] else {}  # of an open sky nothing is hidden
     try:
         return mi.load_dict(scene, parallel=False)
     except (RuntimeError, ValueError) as error:
