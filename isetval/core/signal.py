@@ -34,8 +34,7 @@ class Moved:
     """Transfer function of an image that is moved by ``shift_px(wavelength_nm)``, to higher columns and to higher rows, in px.
 
     ``of_samples`` is that of a picture of whole pixels, each of one colour: what a pixel then sees is the share of both
-    neighbours, exactly.  Between samples a phase alone rings: 4 px within a patch whose neighbour is ten times as bright
-    .3 px made 2 %.
+    neighbours, exactly.  Between samples a phase alone rings: 4 px inside a patch it leaves a hundredth of the step to the next.
     """
 
     shift_px: Callable[[Float], tuple[Any, Any]]

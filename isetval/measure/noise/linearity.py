@@ -257,9 +257,9 @@ def quantum_efficiency(response: MeanResponse, mean_dn: Float, gain: Quantity, p
     else:
         linear, stated = mean_dn, np.array([value or 0.0 for value in photons] or np.zeros(mean_dn.size))
     lit = stated > 0
-    if not lit.any():
+    if lit.sum() < 2:  # one rate has no scatter, and a number without sigma does not exist
         return Quantity(math.nan, math.nan, "%")
     rate = linear[lit] / stated[lit]
     value = float(np.average(rate, weights=stated[lit]))
-    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size) if rate.size > 1 else 0.0
+    error = float(np.std(rate, ddof=1)) / math.sqrt(rate.size)
     return Quantity(100 * value, 100 * error, "%").over(gain, "%")
