@@ -111,7 +111,15 @@ class Rendering:
 _MEANS = Remembered(CACHE_BYTES)
 
 
-def make_context(model: Camera, setup: ShotSetup, *, seed: int = 0, sensor_seed: int = 0, mode: Mode = "capture") -> Context:
+def make_context(
+    model: Camera,
+    setup: ShotSetup,
+    *,
+    seed: int = 0,
+    sensor_seed: int = 0,
+    mode: Mode = "capture",
+    mirrored: frozenset[str] = frozenset(),
+) -> Context:
     """The context of a shot's whole window."""
     shot = setup.shot
     window = shot.window or (0, 0, model.sensor.rows, model.sensor.cols)
@@ -129,6 +137,7 @@ def make_context(model: Camera, setup: ShotSetup, *, seed: int = 0, sensor_seed:
         seed=seed,
         sensor_seed=sensor_seed,
         mode=mode,
+        mirrored=mirrored,
     )
 
 

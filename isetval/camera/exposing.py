@@ -33,14 +33,16 @@ def expose(
     frame_factors: Float | None = None,
     mean: Float | None = None,
     rounded: bool = True,
+    mirrored: frozenset[str] = frozenset(),
 ) -> tuple[Capture, ...]:
-    """The frames of one shot; ``mean`` replaces the light.
+    """The frames of one shot; ``mean`` replaces the light, effects ``mirrored`` draw their noise with the other sign.
 
     Expected frames need not be ``rounded`` to codes; their dither stays, or estimators would meet data without any noise.
     """
     shot = setup.shot
     mean = mean_electrons(model, setup) if mean is None else mean
-    context = make_context(model, setup, seed=seed, sensor_seed=seed if sensor_seed is None else sensor_seed, mode=mode)
+    specimen = seed if sensor_seed is None else sensor_seed
+    context = make_context(model, setup, seed=seed, sensor_seed=specimen, mode=mode, mirrored=mirrored)
     parts = setup.parts(mean.shape)
     lit = [mean[roi.row0 : roi.row1, roi.col0 : roi.col1] for roi in parts]
     gaussian = bool(sum(float(part.sum()) for part in lit) > NORMAL_ABOVE_E * sum(part.size for part in lit))

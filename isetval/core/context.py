@@ -84,7 +84,9 @@ class Context:
     the whole of the shot (None: the same).  ``nuisance`` holds the shot's unknowns
     (light level, focus ...) as drawn or fitted.  ``mean_irradiance`` is the mean of the whole field,
     (bands,), for effects that scatter light over the field.  ``mode`` is *capture* (exact Poisson),
-    *derivative* (common random numbers, see `poisson`) or *expected* (no frame noise).
+    *derivative* (common random numbers, see `poisson`) or *expected* (no frame noise).  Effects that ``mirrored`` names draw
+    their unit normals with the other ``sign``: the mean over both is free of what is linear in them (antithetic variates;
+    Hammersley and Morton, Proc. Camb. Phil. Soc. 52 (1956) 449).
     """
 
     sensor: Sensor
@@ -106,10 +108,12 @@ class Context:
     effect_key: tuple[int, int] = (0, 0)
     previous: Float | None = None
     poisson_gaussian: bool = True
+    mirrored: frozenset[str] = frozenset()
+    sign: int = 1
 
     def for_effect(self, name: str, occurrence: int) -> Context:
         """The same place with the random streams of one effect."""
-        return self.but(effect_key=(word(name), occurrence))
+        return self.but(effect_key=(word(name), occurrence), sign=-1 if name in self.mirrored else 1)
 
     def but(self, **changes: Any) -> Context:
         """`dataclasses.replace` at a fifth of its cost: contexts are made for every effect, frame and block of rows."""
@@ -151,15 +155,26 @@ class Context:
 
     def fixed_normal(self, part: int = 0) -> Float32:
         """Unit normals of the sensor's fixed pattern in this window, (rows, cols)."""
-        return fixed_normal(self.sensor_seed, (*self.effect_key, _KIND["sensor"], part), self.window)
+        return self._signed(fixed_normal(self.sensor_seed, (*self.effect_key, _KIND["sensor"], part), self.window))
 
     def fixed_lines(self, axis: Literal["row", "column"], part: int = 0) -> Float:
         """Unit normals of fixed line noise: one per sensor row (rows, 1) or column (1, cols)."""
         row0, col0, rows, cols = self.window
         key = (*self.effect_key, _KIND["sensor"], 16 + part, 0 if axis == "row" else 1)
         if axis == "row":
-            return _lines(self.sensor_seed, key, self.sensor.rows)[row0 : row0 + rows, None]
-        return _lines(self.sensor_seed, key, self.sensor.cols)[None, col0 : col0 + cols]
+            return self._signed(_lines(self.sensor_seed, key, self.sensor.rows)[row0 : row0 + rows, None])
+        return self._signed(_lines(self.sensor_seed, key, self.sensor.cols)[None, col0 : col0 + cols])
+
+    def frame_lines(self) -> Float:
+        """Unit normals of this frame as a whole, one per sensor row (sensor rows,)."""
+        return self._signed(self.frame_rng().standard_normal(self.sensor.rows))
+
+    def frame_normal(self) -> float:
+        """A unit normal of this frame as a whole."""
+        return self.sign * float(self.frame_rng().standard_normal())
+
+    def _signed(self, normals: NDArray[Any]) -> NDArray[Any]:
+        return normals if self.sign > 0 else -normals
 
     def fixed_rng(self, part: int = 0) -> np.random.Generator:
         """The stream of the sensor as a whole, for lists (hot pixels) and single numbers."""
@@ -186,13 +201,13 @@ class Context:
             return rng.standard_normal(shape, dtype=np.float32) if kind == "normal" else rng.random(shape)
 
         if self.mode != "derivative":
-            return drawn()
+            return self._signed(drawn()) if kind == "normal" else drawn()
         key = (kind, self.seed, self._frame_key(part), shape)
         found = _COMMON.get(key)
         if found is None:
             found = drawn()
             _COMMON.put(key, found)
-        return found
+        return self._signed(found) if kind == "normal" else found
 
     def frame_rng(self, part: int = 0) -> np.random.Generator:
         """The stream of this frame as a whole (the same in every block of rows)."""

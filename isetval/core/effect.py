@@ -185,6 +185,11 @@ class Effect:
                     f"effect {self.name}: {name} is {value!r}; it needs one of {', '.join(map(str, self.forms[name]))}"
                 )
 
+    @property
+    def draws_normals(self) -> bool:
+        """Whether its random numbers are unit normals, which are as likely with the other sign."""
+        return self.random != "none" and not self.counted
+
     @classmethod
     def parameters(cls) -> tuple[ParameterInfo, ...]:
         """The physical parameters, in order."""

@@ -77,7 +77,7 @@ class Flicker(Effect):
         """Scale by this frame's factor; 1 in the expectation."""
         if not self.sigma or context.mode == "expected":
             return signal
-        factor = max(0.0, 1 + self.sigma * float(context.frame_rng().standard_normal()))
+        factor = max(0.0, 1 + self.sigma * context.frame_normal())
         return signal.with_values(signal.values * factor)
 
 

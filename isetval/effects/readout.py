@@ -178,7 +178,7 @@ class TemporalRowNoise(Effect):
         if not self.sigma_dn or context.mode == "expected":
             return signal
         row0, _, rows, _ = context.window
-        lines = context.frame_rng().standard_normal(context.sensor.rows)[row0 : row0 + rows, None]
+        lines = context.frame_lines()[row0 : row0 + rows, None]
         return _with_pattern(signal, lines, self.sigma_dn)
 
 
@@ -264,7 +264,7 @@ class CorrelatedRowNoise(Effect):
         if not self.sigma_dn or context.mode == "expected":
             return signal
         row0, _, rows, _ = context.window
-        lines = pink(context.frame_rng().standard_normal(context.sensor.rows), self.exponent)
+        lines = pink(context.frame_lines(), self.exponent)
         return _with_pattern(signal, lines[row0 : row0 + rows, None], self.sigma_dn)
 
 

@@ -73,18 +73,26 @@ def is_noisy(shot: Shot, choices: Mapping[str, Any]) -> bool:
 
 
 def shoot(
-    camera: CameraModel, setup: ShotSetup, seed: int, *, mode: Mode, choices: Mapping[str, Any], rounded: bool = True
+    camera: CameraModel,
+    setup: ShotSetup,
+    seed: int,
+    *,
+    mode: Mode,
+    choices: Mapping[str, Any],
+    rounded: bool = True,
+    mirrored: frozenset[str] = frozenset(),
 ) -> tuple[Capture, ...]:
     """The captures of a shot: without noise for metrics of the whole field, at every wanted level for noise against level."""
     given = choices.get(f"{setup.shot.name}/given")
     if given is None or not given["alone"]:
-        return expose(camera, setup, seed, mode=mode, rounded=rounded)
+        return expose(camera, setup, seed, mode=mode, rounded=rounded, mirrored=mirrored)
     if is_whole_field(given):
         return (_without_rounding(camera, setup),)
     levels = _levels(camera, given["wanted"].metrics)
     if not levels:
-        return expose(camera, setup, seed, mode=mode)
-    return tuple(frame for part in _at_levels(camera, setup, levels) for frame in expose(camera, part, seed, mode=mode))
+        return expose(camera, setup, seed, mode=mode, mirrored=mirrored)
+    every = _at_levels(camera, setup, levels)
+    return tuple(frame for part in every for frame in expose(camera, part, seed, mode=mode, mirrored=mirrored))
 
 
 def _without_rounding(camera: CameraModel, setup: ShotSetup) -> Capture:

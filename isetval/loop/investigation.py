@@ -25,7 +25,7 @@ from isetval.loop.fit import Fit, far_values
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.gaussian import log_volume
 from isetval.loop.posterior import NOTHING, Names, Posterior
-from isetval.loop.prediction import DERIVATIVE_SEEDS, SPECIMEN_SEEDS, Point
+from isetval.loop.prediction import DERIVATIVE_SEEDS, NOISE_SEEDS, SPECIMEN_SEEDS, Point
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.result import CandidateRow, FormRow
@@ -57,7 +57,7 @@ class Investigation:
 
     ``standing`` is what is believed; ``known`` are all hypotheses with the weights of the present ``problem``, among them those
     with a member of ``standing`` taken out, about which the sum is linearised (``rough``: not fitted yet); ``table`` is the
-    sum over what the catalogue holds.
+    sum over what the catalogue holds, each subset ``about`` the hypothesis that it was linearised at.
     """
 
     prepared: Prepared
@@ -70,6 +70,7 @@ class Investigation:
     nominal_frame: Frame
     known: dict[Names, Hypothesis] = field(default_factory=dict)
     linear: dict[Names, Weighed] = field(default_factory=dict)
+    about: dict[Names, Names] = field(default_factory=dict)
     table: Posterior = field(default_factory=lambda: Posterior({NOTHING: 0.0}, {NOTHING: 0}))
     rough: set[Names] = field(default_factory=set)
     told: dict[Names, float] = field(default_factory=dict)
@@ -147,7 +148,7 @@ def weigh_neighbours(case: Investigation) -> None:
     """Make the sum about what stands and about what is left of it when members are taken out, with the same weights."""
     logs: dict[Names, float] = {}
     freed: dict[Names, int] = {}
-    case.linear = {}
+    case.linear, case.about = {}, {}
     for reference in _references(case):
         terms = terms_beside(case, reference)
         largest = max(MAX_EFFECTS - len(reference.members), 0)
@@ -156,8 +157,9 @@ def weigh_neighbours(case: Investigation) -> None:
         count = sum(len(m.keys) for m in reference.members)
         for subset, value in found.items():
             names = reference.names | {terms[i].name for i in subset}
-            logs[names] = value + base
+            logs[names] = value + base + case.told.get(reference.names, 0.0)
             freed[names] = count + sum(terms[i].tau.size for i in subset)
+            case.about[names] = reference.names
         case.linear |= {reference.names | {terms[i].name for i in s}: w for s, w in own.items()}
     case.table = Posterior(logs | {names: case.score(h) for names, h in case.known.items() if names in logs}, freed)
 
@@ -188,6 +190,14 @@ def _steps(members: Sequence[Member], values: dict[str, float], sigma: Mapping[s
     return {key: h for m in members if isinstance(m, Candidate) for key, h in first_steps(m, values, sigma).items()}
 
 
+def _draws_of(members: Sequence[Member]) -> tuple[int, ...]:
+    """Seeds over which differences are taken where these members are."""
+    drawn = [m.effect for m in members if isinstance(m, Candidate) and m.effect.random != "none"]
+    if any(effect.counted for effect in drawn):
+        return SPECIMEN_SEEDS
+    return NOISE_SEEDS if any(effect.draws_normals for effect in drawn) else DERIVATIVE_SEEDS
+
+
 def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
     """A subset of the sum fitted in full, from where the linear model puts it."""
     shared = names & case.standing.names
@@ -203,11 +213,12 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
             values |= first_values(m, case.signatures[m.name], start)
     values = {key: values[key] for m in members for key in m.keys}
     steps = _steps(members, values, sigma)
-    drawn = any(isinstance(m, Candidate) and m.effect.rare and m.name not in reference.names for m in members)
+    drawn = any(isinstance(m, Candidate) and m.effect.counted and m.name not in reference.names for m in members)
     promised = weighed.log_evidence if weighed is not None and drawn else None
     best = max(h.log_evidence + case.log_prior(h.members) for h in case.known.values())
     beaten = best - CLEAR - case.log_prior(members) if promised is None else -np.inf
-    found = refit(case.problem, case.prepared.model, reference, members, values, steps, promised, beaten=beaten)
+    problem = case.problem if drawn else case.problem.with_draws(_draws_of(members))
+    found = refit(problem, case.prepared.model, reference, members, values, steps, promised, beaten=beaten)
     if any(m.draws_noise for m in found.effects if m.name not in case.standing.names) and found.weighed.scales.max() > WIDER_ROWS:
         found = _at_its_own_weights(case, found)
     case.known[names] = found
@@ -221,7 +232,7 @@ def _at_its_own_weights(case: Investigation, found: Hypothesis) -> Hypothesis:
     the scales of those families answer for it in place of its name.  ln det C is what wider rows cost.
     """
     model = named_model(case.prepared.model, found)
-    problem = case.prepared.problem_for(model, values=far_values(found.fitted))
+    problem = case.prepared.problem_for(model, seeds=_draws_of(found.members), values=far_values(found.fitted))
     problem.columns.update(case.problem.columns)
     free = with_steps(found.fitted.free, found.members, found.values)
     fitted = fitted_members(problem, found.members, Point(model, found.fitted.point.values), free, pose=found.fitted.pose)
@@ -265,7 +276,7 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
         return
     nominal = case.prepared.model
     problem, settled = case.held.settled(named_model(nominal, case.standing))
-
+    problem = problem.with_draws(_draws_of([m for h in (*asked, case.standing) for m in h.members]))
     focus = [f for f in settled.free if f.focus]
     shifts = focus_shifts(problem, settled.point.model, focus)
 
@@ -279,17 +290,21 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
         return weigh(linear_model(problem, replace(settled, values=values, prediction=prediction, z=z)), ()).log_evidence
 
     stands = log_probability(case.standing)
-    case.told |= {h.names: log_probability(h) - stands for h in asked}
+    told = {h.names: log_probability(h) - stands for h in asked}
+    case.told |= told
+    # what is linear about a hypothesis is no likelier beyond it in the hold-out than that itself
+    logs = {names: value + told.get(case.about.get(names, names), 0.0) for names, value in case.table.logs.items()}
+    known = {names: case.score(h) for names, h in case.known.items() if names in logs}
+    case.table = replace(case.table, logs=logs | known)
 
 
 def rebase(case: Investigation, say: Say) -> None:
     """Predict and weigh anew at the model found so far, until it stands: variances grow with the effect."""
     standing = case.standing
-    drawn = any(m.effect.rare for m in standing.effects)
+    seeds = _draws_of(standing.members)
     for _ in range(MAX_REBASES):
         model = named_model(case.prepared.model, case.standing)
         say("simulating the plan with the effects named so far")
-        seeds = SPECIMEN_SEEDS if drawn else DERIVATIVE_SEEDS
         before = case.fitted
         problem = case.prepared.problem_for(model, seeds=seeds, values=far_values(before))
         problem.columns.update(case.problem.columns)

@@ -169,7 +169,7 @@ def shown_by(plan: Campaign, start: Point, wanted: Sequence[Candidate]) -> Shown
     """What the shots of a small plan would show of candidates; None where they cannot be measured."""
     try:
         shot = simulate(start.model, plan, seed=3)
-        predictor = Predictor(plan, measure_campaign(shot), jobs=1)
+        predictor = Predictor(plan, measure_campaign(shot), usual=[e.name for e in start.model.effects], jobs=1)
         extra = make_problem(predictor, start, base=predictor.base(start, REPLICAS))
     except InputError:
         return None

@@ -159,7 +159,8 @@ def prepare(
             progress=lambda _, done, total: say.counted(done, total),
         )
         campaign = _without_broken(campaign)
-        predictor = Predictor(campaign, table, rows=nominal.rows, jobs=jobs, progress=say.counted)
+        usual = [e.name for e in model.effects]
+        predictor = Predictor(campaign, table, usual=usual, rows=nominal.rows, jobs=jobs, progress=say.counted)
         say(f"simulating the plan with {model.name}")
         try:
             problem = make_problem(predictor, Point(model), base=predictor.base(Point(model), _replicas(campaign)))

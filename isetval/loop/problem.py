@@ -89,6 +89,13 @@ class Problem:
         # a row that cannot be measured at a point (a plane that saturates there) keeps the prediction of the origin
         return [self.base.mean + np.nan_to_num(vector - self.anchor) for vector in vectors]
 
+    def with_draws(self, seeds: tuple[int, ...]) -> Problem:
+        """The same with differences taken over more draws; what is known of its derivatives is shared."""
+        if len(seeds) <= len(self.seeds):
+            return self
+        (anchor,) = self.predictor.derivative_vectors([self.origin], seeds)
+        return replace(self, seeds=seeds, anchor=anchor)
+
     def whitened(self, vector: Float) -> Float:
         """L^-1 of the kept rows of ``vector``, (metrics,) or (metrics, k)."""
         return np.asarray(self.whiten @ vector[self.keep])

@@ -75,7 +75,7 @@ class ShotPart:
     """What one worker needs to shoot and measure one shot; ``halves`` and ``chosen`` are the hashes of model and choices.
 
     Noise-free frames are ``rounded`` to codes where their estimators count codes: differences of frames that are not
-    follow their parameters without steps.
+    follow their parameters without steps.  Effects that ``mirrored`` names draw their unit normals with the other sign.
     """
 
     model: CameraModel
@@ -86,6 +86,7 @@ class ShotPart:
     halves: Halves
     chosen: str
     rounded: bool = True
+    mirrored: frozenset[str] = frozenset()
 
     @cached_property
     def key(self) -> str:
@@ -96,7 +97,8 @@ class ShotPart:
     def _rest(self) -> str:
         shot = self.setup.shot
         frames = (shot.frames, self.setup.stands_for, self.setup.before_e)
-        return repr((self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen))
+        turned = sorted(self.mirrored)
+        return repr((self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen, *turned))
 
     def key_of_light(self, mean: Float) -> str:
         """The same, by the light that came out in place of what it was made from."""
@@ -230,7 +232,19 @@ def _shot_together(tasks: Sequence[ShotPart]) -> Iterator[tuple[Sequence[ShotPar
     step = max(1, HELD_PIXELS // (tasks[0].pixels * tasks[0].setup.shot.frames)) if tasks else 1
     for i in range(0, len(tasks), step):
         part = tasks[i : i + step]
-        yield part, [shoot(t.model, t.setup, t.seed, mode=t.mode, choices=t.choices, rounded=t.rounded) for t in part]
+        yield part, [_frames_of(task) for task in part]
+
+
+def _frames_of(task: ShotPart) -> tuple[Capture, ...]:
+    return shoot(
+        task.model,
+        task.setup,
+        task.seed,
+        mode=task.mode,
+        choices=task.choices,
+        rounded=task.rounded,
+        mirrored=task.mirrored,
+    )
 
 
 def _measured_alike(task: ShotPart, captures: Sequence[tuple[Capture, ...]]) -> list[list[Block]]:

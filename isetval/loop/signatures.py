@@ -267,10 +267,11 @@ def _secants(
     steps: Sequence[Float],
     only: Collection[str] | None = None,
 ) -> list[Float]:
-    """Raw secants, zero elsewhere than in the shots ``only``; effects that draw random numbers are averaged over more seeds."""
+    """Raw secants, zero elsewhere than in the shots ``only``; of effects that draw numbers over both signs or more seeds."""
     out: dict[int, Float] = {}
-    for seeds, random in ((SIGNATURE_SEEDS, False), (RANDOM_SEEDS, True)):
-        chosen = [i for i, c in enumerate(wanted) if (c.effect.random != "none") == random]
+    kinds = [(c.effect.random != "none", c.effect.draws_normals and not c.present) for c in wanted]
+    for seeds, random, mirrored in ((SIGNATURE_SEEDS, False, False), (SIGNATURE_SEEDS, True, True), (RANDOM_SEEDS, True, False)):
+        chosen = [i for i, kind in enumerate(kinds) if kind == (random, mirrored)]
         if not chosen:
             continue
         points = [point]
