@@ -42,7 +42,7 @@ Float = NDArray[np.float64]
 ODDS = 19.0  # 95 %: what a name needs against the same without it
 FORMS_TRIED = 2  # of a class at one base: four periods of alternating columns left no room for another effect
 SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
-# at the nominal base the true one may lie far behind by its signature: a ghost of 4 %, the sixth, was 34 in ln Z ahead when fitted
+# at the nominal base a true one may lie far behind by its signature: a ghost of 4 %, the sixth, was 34 in ln Z ahead when fitted
 LONG_LIST = 12
 BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
 # Z grows with the logarithm of chi2 only and cannot be asked (a black level of 140 sigma left 3 % of a chi2 of 20,000)

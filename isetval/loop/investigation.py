@@ -276,7 +276,7 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
         return
     nominal = case.prepared.model
     problem, settled = case.held.settled(named_model(nominal, case.standing))
-    problem = problem.with_draws(_draws_of([m for h in (*asked, case.standing) for m in h.members]))
+    problem = problem.with_draws(_draws_of([m for h in (*asked, case.standing) for m in h.effects]))
     focus = [f for f in settled.free if f.focus]
     shifts = focus_shifts(problem, settled.point.model, focus)
 

@@ -89,7 +89,7 @@ class Predictor:
     table : MetricTable
         The measured rows: predictions come in their order, made with their choices.
     usual : names, optional
-        Of effects that every point has.  Noise of others is drawn with both signs (`Context`).
+        Of effects that every point has (default: all).  Noise of others is drawn with both signs (`Context`).
     rows : mapping, optional
         Keys of the rows that the plan gives, by shot (`isetval.loop.nominal`): what is simulated is kept for all of them,
         so that campaigns of one plan share it whichever rows each of them has.
@@ -105,14 +105,14 @@ class Predictor:
         plan: Campaign,
         table: MetricTable,
         *,
-        usual: Collection[str] = (),
+        usual: Collection[str] | None = None,
         rows: Mapping[str, Sequence[Any]] | None = None,
         jobs: int = 1,
         progress: Counted | None = None,
     ) -> None:
         self.plan = plan.as_plan()
         self.table = table
-        self.usual = frozenset(usual)
+        self.usual = None if usual is None else frozenset(usual)
         self.keys = [m.key() for m in table.metrics]
         self.place = {key: i for i, key in enumerate(self.keys)}
         by_shot: dict[str, list[int]] = {}
@@ -268,7 +268,8 @@ class Predictor:
 
     def _signs(self, camera: CameraModel) -> list[frozenset[str]]:
         """Which effects of a camera draw with the other sign, draw by draw: none, and those whose noise is not usual."""
-        unusual = frozenset(e.name for e in camera.effects if e.draws_normals and e.name not in self.usual)
+        usual = {e.name for e in camera.effects} if self.usual is None else self.usual
+        unusual = frozenset(e.name for e in camera.effects if e.draws_normals and e.name not in usual)
         return [frozenset(), unusual] if unusual else [unusual]
 
     def small_shots(self, point: Point) -> frozenset[str]:
