@@ -257,8 +257,13 @@ def test_the_hold_out_judges_all_at_one_place():
     ask_holdout(case, [SimpleNamespace(names=frozenset({"near"}), effects=single.effects, values=near)])
     assert abs(case.told[frozenset({"near"})]) < 0.05
     nothing = case.known[NOTHING]
+    before = dict(case.table.logs)
     ask_holdout(case, [nothing])
     assert case.told[NOTHING] < -20  # 10 sigmas, with error bars as uncertain as they are
+    linear = [names for names, about in case.about.items() if about == NOTHING and names not in case.known]
+    assert linear
+    for names in linear:  # what is weighed about nothing is no likelier in the hold-out than nothing
+        assert case.table.logs[names] == pytest.approx(before[names] + case.told[NOTHING])
 
 
 @pytest.mark.parametrize("scatter", [0.5, 1.0, 4.0])

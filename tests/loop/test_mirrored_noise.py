@@ -23,19 +23,30 @@ def campaign(model):
     return simulate(model, Campaign("p", (DARK,), sensor=model.sensor), 3)
 
 
-@pytest.mark.parametrize("name", ["temporal_row_noise", "column_fpn", "row_fpn"])
-def test_means_do_not_move_and_variances_rise_as_the_square(model, campaign, name):
+@pytest.mark.parametrize(
+    ("name", "variance"),
+    [
+        ("temporal_row_noise", "row_noise_variance"),
+        ("column_fpn", "fixed_column_variance"),
+        ("row_fpn", "fixed_row_variance"),
+    ],
+)
+def test_means_do_not_move_and_variances_rise_by_the_square(model, campaign, name, variance):
     noisier = model.add(catalogue()[name](sigma_dn=SIGMA_DN))
     table = measure_campaign(campaign, summaries=False)
-    means = np.array([m.name == "mean" for m in table.metrics])
+    means, variances = (np.array([m.name == kind for m in table.metrics]) for kind in ("mean", variance))
     moved = {}
     for usual in ((), (name,)):
         predictor = Predictor(campaign, table, usual=[*(e.name for e in model.effects), *usual])
         here, there = predictor.derivative_vectors([Point(model), Point(noisier)])
         predictor.close()
         moved[bool(usual)] = np.abs(there - here)[means].max()
+        if not usual:
+            risen = (there - here)[variances].mean()
     # one draw moves means of 32 rows or columns by a tenth of a code; of both signs rounding is left
     assert moved[False] < 0.02 < moved[True]
+    # four planes of 32 lines, of which two share theirs: the variance of 64 normals is within 3 sqrt(2 / 64) of its expectation
+    assert risen == pytest.approx(SIGMA_DN**2, rel=0.53)
 
 
 def test_a_frame_with_the_other_sign_is_as_far_on_the_other_side(model):
