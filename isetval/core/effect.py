@@ -199,6 +199,10 @@ class Effect:
         """The physical parameters with the bounds of a diagnosis, from where the effect stands."""
         return self.parameters()
 
+    def as_stated(self: EffectType) -> EffectType:
+        """The effect with the values that a data sheet has, of all that do the very same."""
+        return self
+
     @classmethod
     def files(cls) -> tuple[str, ...]:
         """Names of the fields that name files."""

@@ -228,6 +228,11 @@ class Quantization(Effect):
         """A converter in whole codes has no step below one: nothing in a file would show it."""
         return tuple(replace(p, low=1.0) if self.step_dn >= 1 else p for p in self.parameters())
 
+    def as_stated(self) -> Quantization:
+        """A step of 2.03 DN is one of 2: so few pixels have the larger one that none is given it."""
+        step, share = self._step_and_share()
+        return self.changed(step_dn=step) if 0 < share < LEAST_SHARE else self
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Round and limit."""
         values = signal.values
@@ -236,9 +241,14 @@ class Quantization(Effect):
         return signal.with_values(np.clip(values, 0, context.sensor.white_dn))
 
     def _rounded(self, values: Array, context: Context) -> Array:
-        step = self.step_dn if self.step_dn <= 1 else 2.0 ** np.floor(np.log2(self.step_dn))
-        fine, share = _to_steps(values, step), self.step_dn / step - 1
+        step, share = self._step_and_share()
+        fine = _to_steps(values, step)
         return fine if share < LEAST_SHARE else np.where(_evenly_spread(context) < share, _to_steps(values, 2 * step), fine)
+
+    def _step_and_share(self) -> tuple[float, float]:
+        """The step, and the share of pixels that have twice as large a one."""
+        step = self.step_dn if self.step_dn <= 1 else float(2.0 ** np.floor(np.log2(self.step_dn)))
+        return step, self.step_dn / step - 1 if step else 0.0
 
 
 def _to_steps(values: Array, step: float) -> Array:

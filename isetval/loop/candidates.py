@@ -82,6 +82,11 @@ class Candidate:
         """The model in which the effect exists (at its null where it was absent)."""
         return model if model.effect(self.klass) is not None else model.add(self.effect)
 
+    def as_stated(self, key: str, value: float) -> float:
+        """A fitted value of one of its parameters as a data sheet has it, where several do the very same."""
+        name = key.removeprefix(f"{self.klass}.")
+        return float(self.effect.changed(**{name: value}).as_stated().values()[name])
+
     def free(self, steps: Sequence[float]) -> tuple[Parameter, ...]:
         """Its parameters for a fit, with the catalogue's priors."""
         return tuple(

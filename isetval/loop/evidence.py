@@ -62,6 +62,9 @@ class Hypothesis:
     def value(self, key: str) -> tuple[float, float]:
         """Fitted value and standard deviation of a parameter, as the rows of each family scatter (``wider`` than stated)."""
         value, sigma = self.fitted.value(key)
+        for effect in self.effects:
+            if key in effect.keys:
+                value = effect.as_stated(key, value)
         return value, sigma * float(self.wider[[f.label for f in self.fitted.free].index(key)])
 
     @property

@@ -130,6 +130,14 @@ def test_between_two_steps_a_share_of_the_pixels_has_the_larger_one(place):
     np.testing.assert_array_equal(rounded(16.0037, 30 * noise), rounded(16.0, 30 * noise))  # a scaled file, no bit less
 
 
+def test_a_step_that_does_what_a_whole_one_does_is_stated_as_that(place):
+    signal = Signal.of(64.3 + 3 * np.random.default_rng(8).standard_normal((1, 256, 256)), "dn")
+    for step, stated in ((2.0388, 2.0), (1.01, 1.0), (4.0, 4.0), (2.3, 2.3), (0.7, 0.7), (0.0, 0.0)):
+        told = Quantization(step_dn=step).as_stated()
+        assert told.step_dn == stated
+        np.testing.assert_array_equal(run(told, signal, place()), run(Quantization(step_dn=step), signal, place()))
+
+
 def test_uneven_codes_have_uneven_counts_and_both_ends(place):
     ramp = Signal.of(np.linspace(100, 900, N).reshape(1, 256, 256), "dn")
     effect, converter = UnevenCodes(sigma=0.1), Quantization(step_dn=1.0)
