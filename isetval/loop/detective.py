@@ -36,7 +36,7 @@ from isetval.loop.score_test import Score, make_frame, score
 from isetval.loop.signatures import signatures
 from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
-from isetval.loop.verdict import ALPHA, account_of, stopped_account
+from isetval.loop.verdict import ALPHA, account_of, something_unknown, stopped_account
 
 Float = NDArray[np.float64]
 ODDS = 19.0  # 95 %: what a name needs against the same without it
@@ -180,6 +180,8 @@ def _investigate(case: Investigation, say: Say) -> None:
                 _move_base(case, say)
                 continue
             better = _better(case, say, seen, first=turn == 0)
+            if better is None and something_unknown(case):
+                better = _better(case, say, seen, first=turn == 0, far=True)
             if better is None:
                 break
             better = _form_before_name(case, better, say)
@@ -217,9 +219,13 @@ def _move_base(case: Investigation, say: Say) -> None:
         raise
 
 
-def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool) -> Hypothesis | None:
-    """The hypothesis that should stand instead, or None; where they are close the hold-out is asked."""
-    _refit(case, say, first=first)
+def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool, far: bool = False) -> Hypothesis | None:
+    """The hypothesis that should stand instead, or None; where they are close the hold-out is asked.
+
+    ``far``: also what signatures promise little of is fitted.  A shadow of pixels goes as its square and shows at a quarter of
+    its prior's width along another line than at the whole: something is seen to be there, and no signature tells what.
+    """
+    _refit(case, say, first=first, far=far)
     rivals = _rivals(case, seen)
     lead = max(rivals, key=case.score, default=None)
     if lead is None:
@@ -270,18 +276,20 @@ def _needed(case: Investigation, other: Hypothesis) -> float:
     return 0.0 if case.held is None and found else float(np.log(ODDS)) - case.table.log_rest(other.names)
 
 
-def _refit(case: Investigation, say: Say, *, first: bool) -> None:
+def _refit(case: Investigation, say: Say, *, first: bool, far: bool) -> None:
     """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about.
 
     Other forms of each are asked for when all were fitted, the best first: of what lies far behind none is.
     """
     fitted = []
-    for i, names in enumerate(of_several_classes(case, _proposals(case, first=first))[: LONG_LIST if first else SHORT_LIST]):
+    wanted = _one_away(case) if far else _proposals(case, first=first)
+    many = first or (far and not case.standing.names)
+    for i, names in enumerate(of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]):
         best = max(case.score(h) for h in case.known.values())
         behind = case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing))
-        if behind and (not first or i >= SHORT_LIST):
+        if behind and not far and (not first or i >= SHORT_LIST):
             continue
-        if not first and not _may_be_found(case, names):
+        if not first and not far and not _may_be_found(case, names):
             continue
         say(f"fitting {', '.join(sorted(names))}")
         fitted.append(fitted_jointly(case, names))
@@ -334,6 +342,15 @@ def _proposals(case: Investigation, *, first: bool) -> list[Names]:
     seen = {frozenset({row.name}) for row in case.rows if row.p_corrected < ALPHA}
     bent = sorted((n for n in singles if chi2[n] > (1 - BEND**2) * most and n in seen), key=lambda n: -chi2[n])
     return list(dict.fromkeys(name for both in zip_longest(likely, bent) for name in both if name))
+
+
+def _one_away(case: Investigation) -> list[Names]:
+    """Subsets with one effect more than stand, or another in the place of one, the most probable first."""
+    stands = case.standing.names
+    return [
+        n for n in case.table.ranked
+        if (n not in case.known or n in case.rough) and len(n) <= MAX_EFFECTS and len(n - stands) == 1 and len(stands - n) <= 1
+    ]  # fmt: skip
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:

@@ -128,6 +128,11 @@ def _words_left(case: Investigation, beside: Beside) -> list[str]:
     return _words_of(beside.unknown) if flagged else []
 
 
+def something_unknown(case: Investigation) -> bool:
+    """Whether that what is named leaves something unknown is likelier than not."""
+    return with_unknown(case).table.unknown > FLAGGED_BESIDE
+
+
 def unconfirmed(stands: Names, table: Posterior) -> list[str]:
     """That the sum is sure of something it knows and no fit found enough to name it, in words: no camera is consistent then."""
     sure = 1 - table.nothing - table.unknown

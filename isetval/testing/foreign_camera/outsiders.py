@@ -87,8 +87,8 @@ def light_leak(charge: Float, camera: Camera, place: Place, rng: Generator, *, e
 
 @at("collect", "inter_pixel_capacitance")
 def inter_pixel_capacitance(charge: Float, camera: Camera, place: Place, rng: Generator, *, share: float) -> Float:
-    """Voltage couples into the four neighbours after the charge has arrived: noise becomes correlated."""
-    got = np.pad(rng.poisson(charge).astype(float), 1, mode="reflect")
+    """Voltage couples into the four neighbours after the charge has arrived, and wells are full: noise becomes correlated."""
+    got = np.pad(np.minimum(rng.poisson(charge), camera.well_e).astype(float), 1, mode="reflect")
     near = got[:-2, 1:-1] + got[2:, 1:-1] + got[1:-1, :-2] + got[1:-1, 2:]
     return np.asarray((1 - 4 * share) * got[1:-1, 1:-1] + share * near)
 
