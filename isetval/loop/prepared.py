@@ -167,7 +167,7 @@ def prepare(
         except BaseException:
             predictor.close()  # what was simulated is kept
             raise
-    table = replace(table, notes=(*table.notes, *_without_counterpart(problem)))
+    table = replace(table, notes=(*table.notes, *_without_counterpart(problem), *_filling_up(problem)))
     return Prepared(model, campaign, table, problem)
 
 
@@ -187,6 +187,18 @@ def _without_counterpart(problem: Problem) -> list[str]:
     return [
         f"{len(lost)} given rows have no counterpart in the simulation and are left out, the first: {row_words(lost[0])} of shot "
         f"{lost[0].shot} (check its channel, exposure, window and target)"
+    ]
+
+
+def _filling_up(problem: Problem) -> list[str]:
+    """A remark on planes that are left out since they are full in a part of the light that the campaign allows for."""
+    table = problem.predictor.table
+    planes = [f"{m.shot} {m.channel}" for m in (table.metrics[i] for i in problem.filling) if m.name == "mean"]
+    if not planes:
+        return []
+    return [
+        f"{len(planes)} planes of flats are left out, which fill up within the light's tolerance: {', '.join(planes[:4])}"
+        f"{', ...' if len(planes) > 4 else ''} (expose less, or state the light closer)"
     ]
 
 

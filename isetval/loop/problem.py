@@ -17,6 +17,7 @@ from isetval.loop.family_scales import Families
 from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 from isetval.loop.shot_task import Sampled
+from isetval.loop.shoulder import on_a_shoulder
 from isetval.measure.noise.statistics import tilt_power
 
 Float = NDArray[np.float64]
@@ -49,7 +50,8 @@ class Problem:
     ``noise_bias`` and ``color_variance`` are parts of the covariance's diagonal, (metrics,): what is the prediction's and not the
     captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
     scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.
-    ``steps`` are shortened finite steps of nuisances, by label.
+    ``steps`` are shortened finite steps of nuisances, by label; ``filling`` are rows that were left out for what
+    `isetval.loop.shoulder` says.
     """
 
     predictor: Predictor
@@ -67,6 +69,7 @@ class Problem:
     noise_bias: Float | float = 0.0
     color_variance: Float | float = 0.0
     unseen: Float = field(default_factory=lambda: np.zeros((0, 0)))
+    filling: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
 
     @property
     def nominal(self) -> CameraModel:
@@ -147,14 +150,17 @@ def make_problem(
         & np.isfinite(variance)
         & (variance > 0)
     )
+    filling = on_a_shoulder(predictor, origin, anchor, np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), seeds)
+    usable &= ~filling
     # what is only rounding is no measurement
     usable &= variance > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
     keep = np.flatnonzero(usable)
     if keep.size == 0:
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
     problem = Problem(
-        predictor, origin, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds, replicas=made | held
-    )
+        predictor, origin, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds, replicas=made | held,
+        filling=np.flatnonzero(filling),
+    )  # fmt: skip
     weigh(problem)
     return problem
 

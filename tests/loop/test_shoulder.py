@@ -1,0 +1,64 @@
+"""Levels that fill up within the light's tolerance do not hold the light where it was stated."""
+
+import numpy as np
+import pytest
+
+from isetval import simulate
+from isetval.camera.chain import ShotSetup, mean_electrons
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Exposure
+from isetval.loop.prepared import prepare
+
+WELL_E = 4500.0  # 832 DN, below the converter's end
+SIGMA = 0.02
+PLACES = [(1464, 1968), (1000, 1400), (700, 900), (1900, 2600), (2300, 3100)]
+
+
+def plan_of(model, exposure_s):
+    """Flats at five places of one set-up, each with the same exposure."""
+    light = Light("white", Spectrum(np.array([390.0, 710.0]), np.array([0.0016, 0.0016])))
+    shots = [
+        Shot(f"field{i}", "flat", "field", exposure=Exposure(exposure_s), light="white", frames=4, window=(*place, 64, 64))
+        for i, place in enumerate(PLACES)
+    ]
+    prior = Nuisance("light_level", SIGMA, "relative", "set-up", roles=("flat",))
+    flicker = Nuisance("light_level", 0.001, "relative", "frame", roles=("flat",))
+    return Campaign("shoulder", tuple(shots), lights={"white": light}, nuisances=(prior, flicker), sensor=model.sensor)
+
+
+def brightest_e(model, plan):
+    """Electrons of the brightest plane in the middle."""
+    return float(np.max(mean_electrons(model, ShotSetup(plan.shots[0], plan.lights["white"]))))
+
+
+@pytest.mark.parametrize("light", [-0.03, 0.027])
+def test_a_plane_that_fills_up_within_the_tolerance_does_not_hold_the_light(model, light, tmp_path, monkeypatch):
+    """Half way up the shoulder a mean has a hundredth of its error bar and a slope that holds for a fifth of the tolerance."""
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+    camera = model.with_values({"full_well.well_e": WELL_E})
+    exposure_s = 0.005 * 0.99 * WELL_E / brightest_e(camera, plan_of(camera, 0.005))
+    plan = plan_of(camera, exposure_s)
+    truth = {"light_level@set-up:field[flat]": light}
+    with prepare(camera, simulate(camera, plan, seed=4, values=truth)) as ready:
+        problem, fitted = ready.settled(camera)
+        rows = problem.predictor.table.metrics
+        kept = {(rows[i].shot, rows[i].channel) for i in problem.keep}
+    value, sigma = fitted.value(next(iter(truth)))
+    assert abs(value - light) < 4 * sigma < 0.004
+    assert fitted.chi2 < problem.keep.size + 5 * np.sqrt(2 * problem.keep.size)
+    assert ("field0", "Gr") not in kept
+    assert ("field0", "B") in kept
+    assert any("fill up within the light's tolerance: field0 Gr" in note for note in ready.table.notes)
+
+
+def test_planes_below_and_beyond_are_kept(model, tmp_path, monkeypatch):
+    """What is full in all the light that may be, and what is not full in any, has slopes: none, and one."""
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+    camera = model.with_values({"full_well.well_e": WELL_E})
+    for share in (0.8, 1.3):
+        exposure_s = 0.005 * share * WELL_E / brightest_e(camera, plan_of(camera, 0.005))
+        with prepare(camera, simulate(camera, plan_of(camera, exposure_s), seed=4)) as ready:
+            rows = ready.problem.predictor.table.metrics
+            kept = {(rows[i].shot, rows[i].channel) for i in ready.problem.keep if rows[i].name == "mean"}
+        assert ("field0", "Gr") in kept
