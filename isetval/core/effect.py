@@ -134,7 +134,8 @@ class Effect:
     ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter
     that is the exposure time beyond which it acts: each gap between the exposures of a plan is a form. ``forms`` are the
     shapes that it may have, by field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with
-    a ``tau`` once the effect is named; ``free`` is the axis along which its form may be any smooth one. With every
+    a ``tau`` once the effect is named; ``of_full_well`` names charges that are stated for a full well of 6,000 e-, and are as
+    much larger in a camera as its own is; ``free`` is the axis along which its form may be any smooth one. With every
     parameter at its null it must be the identity, unless it gives another unit than it acts on.
     """
 
@@ -159,6 +160,7 @@ class Effect:
     must_not_change: ClassVar[tuple[str, ...]] = ()
     uses_mean_irradiance: ClassVar[bool] = False
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {}
+    of_full_well: ClassVar[tuple[str, ...]] = ()
     free: ClassVar[FreeAxis | None] = None
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False

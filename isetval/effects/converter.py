@@ -37,6 +37,7 @@ class Nonlinearity(Effect):
         "linearization_table",
     )
     free = FreeAxis("level", "gain", 0.02, reach="well_e")
+    of_full_well = ("well_e",)
     equation = "x (1 - a x / FW)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.7 (linearity); second-order term"
     must_not_change = ("dark",)
@@ -71,6 +72,7 @@ class GainKnee(Effect):
         "digital_gain",
     )
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"knee_e": (2000.0, 500.0, 1000.0, 4000.0, 8000.0)}
+    of_full_well = ("knee_e",)
     equation = "x for x < mu_k; mu_k + (x - mu_k)(1 + s) above"
     reference = "Fossum & Hondongwa, IEEE J. Electron Devices Soc. 2 (2014) 33 (dual conversion gain)"
     must_not_change = ("dark",)

@@ -283,6 +283,7 @@ class FullWell(Effect):
         "nonlinearity",
         "gain_knee",
     )
+    of_full_well = ("well_e",)
     equation = "min(N, FW)"
     reference = "EMVA Standard 1288 Release 4.0, sec. 2.4 (saturation)"
     must_not_change = ("dark",)

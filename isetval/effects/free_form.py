@@ -1,6 +1,6 @@
 """Free forms: every effect that states an axis has, beside its own form, a smooth one along that axis.
 
-A free form is the effect itself times (1 + f), f a natural cubic spline on few knots of the axis under a smoothness prior.
+A free form is the effect itself times (1 + f), f a cubic spline on few knots of the axis under a smoothness prior.
 Where the formula of an effect is wrong, its free form is right without a second formula: a diagnosis then says *of another
 form* and shows the curve, where it would otherwise need a second name for what is left over.
 """
@@ -58,11 +58,14 @@ class Axis:
 
     @cache  # noqa: B019
     def table(self, from_zero: bool) -> tuple[Float, Float]:
-        """Places (n,) and the modes there, (n, modes), by natural cubic splines."""
+        """Places (n,) and the modes there, (n, modes), by cubic splines.
+
+        Parabolas and cubics pass exactly; a spline that does not bend at its ends (natural) is 1.4 % of a parabola off.
+        """
         from scipy.interpolate import CubicSpline
 
         places = np.linspace(self.knots[0], self.knots[-1], TABLE)
-        return places, np.asarray(CubicSpline(self.knots, self.modes(from_zero), bc_type="natural")(places))
+        return places, np.asarray(CubicSpline(self.knots, self.modes(from_zero), bc_type="not-a-knot")(places))
 
 
 AXES = {

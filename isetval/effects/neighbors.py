@@ -85,6 +85,7 @@ class Blooming(Effect):
         "full_well",
     )
     halo_px = BLOOM_REACH_PX
+    of_full_well = ("well_e",)
     equation = "N + b sum_k w_k max(N(row +- k) - W, 0), w_k prop. exp(-k/l), sum of both sides 1"
     reference = "Janesick, Scientific Charge-Coupled Devices (SPIE 2001), ch. 4 (blooming); exponential is a convention"
     must_not_change = ("dark",)

@@ -17,7 +17,42 @@ from isetval.core.parameter import Parameter
 from isetval.effects import catalogue
 
 Float = NDArray[np.float64]
+UNLIMITED_E = 1e9  # a full well that is none (`isetval.effects.electrons.FullWell`)
+FULL_WELL_E, GAIN_DN_PER_E = 6000.0, 0.1707  # of the camera for which the catalogue states charges, numbers and their priors
 WIDER = 10.0  # how much wider a wrong prior of the laboratory may be: an order of magnitude, a slip in a unit or a lamp moved
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How much larger charges and digital numbers of a camera are than those of the one that the catalogue is stated for.
+
+    A response that loses 2 % at full well, a knee at a third of it, rows that scatter by an electron: of a sensor of 60,000 e-
+    these are other numbers than of one of 6,000.
+    """
+
+    charge: float = 1.0
+    dn: float = 1.0
+
+    @classmethod
+    def of(cls, model: CameraModel) -> Scale:
+        """That of a model: its full well, or the charge at the converter's end, and its conversion gain."""
+        gain = model.value("conversion_gain.gain_dn_per_e") if model.effect("conversion_gain") is not None else 0.0
+        if gain <= 0:
+            return cls()
+        well_e = model.value("full_well.well_e") if model.effect("full_well") is not None else np.inf
+        end_e = (model.sensor.white_dn - float(np.mean(model.sensor.black_dn))) / gain
+        return cls((well_e if well_e < UNLIMITED_E else end_e) / FULL_WELL_E, gain / GAIN_DN_PER_E)
+
+    def width(self, effect: Effect, info: ParameterInfo) -> ParameterInfo:
+        """A parameter with the width of its prior in this camera."""
+        by_unit = {"DN": self.dn, "DN/e-": self.dn, "1/e-": 1 / self.charge}
+        factor = self.charge if info.name in effect.of_full_well else by_unit.get(info.unit, 1.0)
+        return info if info.tau is None or factor == 1 else replace(info, tau=info.tau * factor)
+
+    def form(self, effect: Effect) -> Effect:
+        """An absent effect with its shapes that are charges in proportion to this camera's full well."""
+        shapes = [p for p in effect.parameters() if p.shape and p.name in effect.of_full_well]
+        return effect.changed(**{p.name: effect.values()[p.name] * self.charge for p in shapes}) if shapes else effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +63,7 @@ class Candidate:
     ``parameters`` are those that are freed, ``nominal`` their values in the model.  Candidates of one effect are forms of one
     class (``name`` says which): a hypothesis holds one of them, and ``prior_weight`` is a form's share of the class's odds.
     ``code_steps`` are what of its parameters, by key, moves the brightest level by one code where it rounds codes anew.
+    ``scale`` is that of the camera.
     """
 
     name: str
@@ -36,6 +72,14 @@ class Candidate:
     present: bool
     prior_weight: float = 1.0
     code_steps: Mapping[str, float] = field(default_factory=dict)
+    scale: Scale = Scale()
+
+    @property
+    def shapes(self) -> tuple[ParameterInfo, ...]:
+        """Shape parameters that have a prior and are not free yet."""
+        own = [p for p in self.effect.parameters() if p.shape and p.tau is not None]
+        taken = {p.name for p in self.parameters}
+        return tuple(self.scale.width(self.effect, p) for p in own if p.name not in taken)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -130,7 +174,8 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Seque
     """
     contained = {name for effect in model.effects for name in effect.replaces}
     chief_ray = any(effect.states_chief_ray() for effect in model.effects)
-    out = []
+    scale = Scale.of(model)
+    out: list[Candidate] = []
     for name, cls in sorted(catalogue().items()):
         if not cls.candidate:
             continue
@@ -139,18 +184,24 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Seque
             continue
         standing = model.effect(name)
         if standing is not None:
-            bounded = tuple(p for p in standing.own_parameters() if p.tau is not None and not p.shape)
-            out.append(Candidate(name, standing, bounded, True))
+            bounded = [p for p in standing.own_parameters() if p.tau is not None and not p.shape]
+            out.append(Candidate(name, standing, tuple(scale.width(standing, p) for p in bounded), True, scale=scale))
             continue
         without_angle = cls.for_unstated_chief_ray if chief_ray else cls.needs_chief_ray
         if any(f for f in cls.files()) or name in contained or without_angle:
             continue
-        effect = cls()
+        effect = scale.form(cls())
         nulls: dict[str, Any] = {p.name: p.null for p in parameters}
-        absent = Candidate(name, replace(effect, **nulls), parameters, False)
+        free = tuple(scale.width(effect, p) for p in parameters)
+        absent = Candidate(name, replace(effect, **nulls), free, False, scale=scale)
         one_light = {"light": ("", *lights)} if cls.per_light and len(lights) > 1 else {}
         switched = {cls.switches_at: tuple(gaps_s)} if cls.switches_at and gaps_s else {}
-        out += _forms(absent, {**cls.forms, **one_light, **switched})
+        in_charge = {
+            key: tuple(float(f"{float(v) * scale.charge:.3g}") for v in values)
+            for key, values in cls.forms.items()
+            if key in cls.of_full_well
+        }
+        out += _forms(absent, {**cls.forms, **in_charge, **one_light, **switched})
     return tuple(out)
 
 

@@ -33,22 +33,27 @@ FREE_SHARE = 0.1  # of the prior that the catalogue's form of an effect has: wha
 LEFT = 0.1  # how often a right form may be asked for another: what that costs is a few simulations
 
 
-def in_best_form(case: Investigation, found: Hypothesis, say: Say, *, asked: bool = False) -> Hypothesis:
+def in_best_form(
+    case: Investigation, found: Hypothesis, say: Say, *, asked: bool = False, lead: float | None = None
+) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
     Shape parameters and free forms are first weighed as further columns of the linear model about the fit, where anything is
     left over (or it is ``asked``: another name is about to explain it); those that promise strong evidence are fitted in full.
-    The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.
+    The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.  ``lead`` is the score of
+    the best hypothesis that it is compared with (of all that were fitted if none is stated): of rivals in the catalogue's forms
+    each is asked for its own before one that got it stands in front of the others.
     """
+    lead = max(case.score(h) for h in case.known.values()) if lead is None else lead
     for name in sorted(m.name for m in found.effects):
-        found = _in_best_form_of(case, found, name, say, asked)
+        found = _in_best_form_of(case, found, name, say, asked, lead)
     return found
 
 
-def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say, asked: bool) -> Hypothesis:
-    if not (_openings(_form(found, name)) and (asked or _something_left(case, found))):
+def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say, asked: bool, lead: float) -> Hypothesis:
+    if not (_openings(_form(found, name)) and (asked or something_left(case, found))):
         return found
-    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, asked))]
+    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, asked, lead))]
     if len(fits) == 1:
         return found
     fits.sort(key=case.score, reverse=True)
@@ -87,7 +92,7 @@ def other_forms(case: Investigation, candidate: Candidate) -> list[FormRow]:
 def _openings(candidate: Candidate) -> list[Candidate]:
     """The candidate with further parameters free: shapes that have a prior, a curve along its axis, both."""
     effect = candidate.effect
-    shapes = tuple(p for p in effect.parameters() if p.shape and p.tau is not None and p not in candidate.parameters)
+    shapes = candidate.shapes
     out = [_opened(candidate, shapes)] if shapes else []
     if has_free_form(type(effect)) and not is_free(effect):
         curved = replace(candidate, effect=freed(effect))
@@ -101,7 +106,7 @@ def _opened(candidate: Candidate, more: Sequence[ParameterInfo]) -> Candidate:
     return replace(candidate, parameters=(*candidate.parameters, *more), prior_weight=share)
 
 
-def _something_left(case: Investigation, found: Hypothesis) -> bool:
+def something_left(case: Investigation, found: Hypothesis) -> bool:
     """Whether a pattern, or more scatter of a family than its error bars say, would be seen in what a hypothesis leaves.
 
     A second effect is not asked for: where a form is wrong the sum would sooner widen the error bars of its family.
@@ -113,10 +118,10 @@ def _something_left(case: Investigation, found: Hypothesis) -> bool:
     )  # a ratio of evidences passes 1/p by chance in p of all cases
 
 
-def _promising(case: Investigation, found: Hypothesis, name: str, asked: bool) -> list[Candidate]:
+def _promising(case: Investigation, found: Hypothesis, name: str, asked: bool, lead: float) -> list[Candidate]:
     """Openings whose further parameters promise strong evidence in the linear model about a fit, and enough to matter.
 
-    Of an effect that lies far behind the best hypothesis no form is asked for that would have to gain more than the linear
+    Of an effect that lies far behind the ``lead`` no form is asked for that would have to gain more than the linear
     model can be wrong by; where it is ``asked`` for in the place of another name, the best is worth a fit.
     """
     openings = _openings(_form(found, name))
@@ -136,7 +141,7 @@ def _promising(case: Investigation, found: Hypothesis, name: str, asked: bool) -
     promised.sort(key=lambda item: -item[0])
     if asked:
         return [opened for _, opened in promised[:1]]
-    behind = max(case.score(h) for h in case.known.values()) - CLOSE_LOG_ODDS - case.score(found)
+    behind = lead - CLOSE_LOG_ODDS - case.score(found)
     return [
         opened for gain, opened in promised if gain > max(CLOSE_LOG_ODDS, promised[0][0] - CLOSE_LOG_ODDS, (1 - BENDS) * behind)
     ]

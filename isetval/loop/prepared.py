@@ -193,7 +193,8 @@ def _without_counterpart(problem: Problem) -> list[str]:
 def _filling_up(problem: Problem) -> list[str]:
     """A remark on planes that are left out since they are full in a part of the light that the campaign allows for."""
     table = problem.predictor.table
-    planes = [f"{m.shot} {m.channel}" for m in (table.metrics[i] for i in problem.filling) if m.name == "mean"]
+    rows = np.flatnonzero(problem.filling.partly) if problem.filling else ()
+    planes = [f"{m.shot} {m.channel}" for m in (table.metrics[i] for i in rows) if m.name == "mean"]
     if not planes:
         return []
     return [

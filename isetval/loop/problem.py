@@ -17,7 +17,7 @@ from isetval.loop.family_scales import Families
 from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 from isetval.loop.shot_task import Sampled
-from isetval.loop.shoulder import on_a_shoulder
+from isetval.loop.shoulder import Filling, filling
 from isetval.measure.noise.statistics import tilt_power
 
 Float = NDArray[np.float64]
@@ -50,8 +50,8 @@ class Problem:
     ``noise_bias`` and ``color_variance`` are parts of the covariance's diagonal, (metrics,): what is the prediction's and not the
     captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
     scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.
-    ``steps`` are shortened finite steps of nuisances, by label; ``filling`` are rows that were left out for what
-    `isetval.loop.shoulder` says.
+    ``steps`` are shortened finite steps of nuisances, by label; ``filling`` says which levels are full
+    (`isetval.loop.shoulder`).
     """
 
     predictor: Predictor
@@ -69,7 +69,7 @@ class Problem:
     noise_bias: Float | float = 0.0
     color_variance: Float | float = 0.0
     unseen: Float = field(default_factory=lambda: np.zeros((0, 0)))
-    filling: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    filling: Filling | None = None
 
     @property
     def nominal(self) -> CameraModel:
@@ -150,8 +150,8 @@ def make_problem(
         & np.isfinite(variance)
         & (variance > 0)
     )
-    filling = on_a_shoulder(predictor, origin, anchor, np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), seeds)
-    usable &= ~filling
+    full = filling(predictor, origin, anchor, np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), seeds)
+    usable &= ~full.partly
     # what is only rounding is no measurement
     usable &= variance > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
     keep = np.flatnonzero(usable)
@@ -159,7 +159,7 @@ def make_problem(
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
     problem = Problem(
         predictor, origin, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds, replicas=made | held,
-        filling=np.flatnonzero(filling),
+        filling=full,
     )  # fmt: skip
     weigh(problem)
     return problem
@@ -204,7 +204,7 @@ def weigh(problem: Problem) -> None:
     covariance = covariance + flicker @ flicker.T + colors @ colors.T
     problem.color_variance = np.sum(colors**2, axis=1)
     problem.noise_bias = _bias_of_noise(problem)
-    rounding = _rounding(problem, np.diag(covariance))
+    rounding = _rounding(problem, np.diag(covariance)) + (problem.filling.plateau if problem.filling else 0.0)
     problem.unseen = np.column_stack([flicker, colors, _each_alone(rounding + problem.base.render)])
     covariance = covariance + np.diag(rounding + problem.noise_bias)
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))

@@ -98,3 +98,28 @@ def test_a_motion_is_looked_for_in_directions_that_blur_either_edge_or_both(mode
     at = sorted(c.effect.values()["angle_deg"] for c in candidates_for(model) if c.klass == "motion_blur")
     seen = {(bool(np.cos(np.radians(a)) > 0.5), bool(np.sin(np.radians(a)) > 0.5)) for a in at}
     assert seen == {(True, False), (False, True), (True, True)}
+
+
+def test_charges_and_numbers_of_the_catalogue_grow_with_the_camera(model):
+    """A knee at a third of full well, a curve up to it and priors in DN are those of a phone; of 60,000 e- they are ten times."""
+    of_phone = {c.name: c for c in candidates_for(model)}
+    large = model.with_values({"full_well.well_e": 60000.0, "conversion_gain.gain_dn_per_e": 0.01707})
+    of_large = {c.name: c for c in candidates_for(large)}
+    assert of_large["nonlinearity"].effect.well_e == pytest.approx(10 * of_phone["nonlinearity"].effect.well_e)
+    knees = [sorted(c.effect.knee_e for c in found.values() if c.klass == "gain_knee") for found in (of_phone, of_large)]
+    assert knees[0] == [500, 1000, 2000, 4000, 8000]
+    np.testing.assert_allclose(knees[1], [10 * knee for knee in knees[0]])
+    shapes = [next(p.tau for p in found["gain_knee"].shapes if p.name == "knee_e") for found in (of_phone, of_large)]
+    assert shapes[1] == pytest.approx(10 * shapes[0])
+    for name, factor in (
+        ("row_fpn", 0.1),
+        ("conversion_gain", 0.1),
+        ("brighter_fatter", 0.1),
+        ("dsnu", 1.0),
+        ("full_well", 10.0),
+    ):
+        assert of_large[name].tau[0] == pytest.approx(factor * of_phone[name].tau[0])
+    unlimited = large.with_values({"full_well.well_e": 1e9})
+    end_e = (model.sensor.white_dn - 64) / 0.01707
+    curve = next(c for c in candidates_for(unlimited) if c.name == "nonlinearity").effect
+    assert curve.well_e == pytest.approx(end_e)

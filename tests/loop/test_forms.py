@@ -17,7 +17,7 @@ from isetval.core.toml import data_folder
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import candidates_for
 from isetval.loop.curve_campaign import curve_campaign
-from isetval.loop.forms import _openings, _something_left
+from isetval.loop.forms import _openings, something_left
 from isetval.loop.given_side import in_large_pixels, shoot
 from isetval.measure.analyses.full_field import ring_means
 
@@ -99,7 +99,7 @@ def test_a_family_that_scatters_too_much_asks_for_another_form():
     def left(scale):
         z = scale * np.random.default_rng(4).permutation(np.repeat([-1.0, 1.0], n // 2))
         fitted = SimpleNamespace(residual=z, z=z, values=np.zeros(0), free=(), jacobian=np.zeros((n, 0)), prediction=base.mean)
-        return _something_left(SimpleNamespace(problem=problem), SimpleNamespace(fitted=fitted))
+        return something_left(SimpleNamespace(problem=problem), SimpleNamespace(fitted=fitted))
 
     assert left(2.2)
     assert not left(1.0)
