@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -92,6 +94,7 @@ class AmpGlow(Effect):
         "row_fpn",
         "black_level",
     )
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"x0": (0.8, -0.8), "y0": (0.6, -0.6)}  # the four corners
     free = FreeAxis("exposure", "strength", 0.5)
     equation = "mu + g t exp(-d / w), d from (x0, y0) in half diagonals"
     reference = (

@@ -245,10 +245,10 @@ class BrighterFatter(Effect):
     a_per_e: float = parameter(0.0, unit="1/e-", low=0.0, high=2e-4, tau=2e-6, doc="relative loss A of variance per electron")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Move charge between neighbours (none across the border of the window)."""
+        """Move charge between neighbours; across the window's border stands the mirrored pixel, of the neighbour's colour."""
         if not self.a_per_e:
             return signal
-        values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
+        values = np.pad(np.broadcast_to(signal.values, (1, *context.window[2:])), ((0, 0), (1, 1), (1, 1)), mode="reflect")
         mosaic = context.sensor.cfa != "MONO"
         # half of the charge is there, on average, while the rest arrives: the shift is (A/4) of the difference / 2
         flows = [self.a_per_e / 8 * _moved(values, axis, donor=mosaic) for axis in (1, 2)]
@@ -257,7 +257,7 @@ class BrighterFatter(Effect):
             low[axis], high[axis] = slice(None, -1), slice(1, None)
             values[tuple(low)] += flow
             values[tuple(high)] -= flow
-        return signal.with_values(values)
+        return signal.with_values(values[:, 1:-1, 1:-1])
 
 
 def _moved(charge: Array, axis: int, *, donor: bool) -> Array:

@@ -51,18 +51,13 @@ class InterpixelCapacitance(Effect):
     alpha: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.005, doc="part alpha of a pixel seen on each neighbor")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Share with the four neighbors (none across the border of the window)."""
+        """Share with the four neighbors; across the window's border stands the mirrored pixel, which has the neighbor's color."""
         if not self.alpha:
             return signal
         charge = _mosaic(signal, context)
-        out = charge.copy()
-        for axis in (1, 2):
-            step = self.alpha * np.diff(charge, axis=axis)
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -1), slice(1, None)
-            out[tuple(low)] += step
-            out[tuple(high)] -= step
-        return signal.with_values(out)
+        wide = np.pad(charge, ((0, 0), (1, 1), (1, 1)), mode="reflect")
+        near = wide[:, :-2, 1:-1] + wide[:, 2:, 1:-1] + wide[:, 1:-1, :-2] + wide[:, 1:-1, 2:]
+        return signal.with_values(charge + self.alpha * (near - 4 * charge))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,10 +137,9 @@ class AmplifierCrosstalk(Effect):
     lag_px: float = parameter(2.0, unit="px", low=1.0, high=SETTLING_REACH_PX, shape=True, doc="columns between both (whole)")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Mix in the pixel read before (none at the window's left border)."""
+        """Mix in the pixel read before; left of the window stands the mirrored pixel, which has the color of the one there."""
         if not self.share:
             return signal
         values, lag = _mosaic(signal, context), round(self.lag_px)
-        out = values.copy()
-        out[..., lag:] += self.share * (values[..., :-lag] - values[..., lag:])
-        return signal.with_values(out)
+        before = np.pad(values, ((0, 0), (0, 0), (lag, 0)), mode="reflect")[..., :-lag]
+        return signal.with_values(values + self.share * (before - values))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -267,20 +267,34 @@ def _secants(
     steps: Sequence[Float],
     only: Collection[str] | None = None,
 ) -> list[Float]:
-    """Raw secants, zero elsewhere than in the shots ``only``; of effects that draw numbers over both signs or more seeds."""
+    """Raw secants, zero elsewhere than in the shots ``only``; of effects that draw numbers over both signs or more seeds.
+
+    A row that is none a step ahead (a plane at full well, which more gain lifts over the converter's end) has the secant of a
+    step back.
+    """
     out: dict[int, Float] = {}
     kinds = [(c.effect.random != "none", c.effect.draws_normals and not c.present) for c in wanted]
     for seeds, random, mirrored in ((SIGNATURE_SEEDS, False, False), (SIGNATURE_SEEDS, True, True), (RANDOM_SEEDS, True, False)):
         chosen = [i for i, kind in enumerate(kinds) if kind == (random, mirrored)]
-        if not chosen:
-            continue
-        points = [point]
-        for i in chosen:
-            model = wanted[i].model_with(point.model)
-            for key, value, h in zip(wanted[i].keys, wanted[i].nominal, steps[i], strict=True):
-                points.append(Point(model.with_values({key: value + h}), point.values))
-        vectors = iter(problem.predictor.derivative_vectors(points, seeds, of_noise=random, only=only))
-        here = next(vectors)
-        for i in chosen:
-            out[i] = np.nan_to_num(np.column_stack([(next(vectors) - here) / h for h in steps[i]]))
+
+        def taken(steps: Mapping[int, Float], seeds: tuple[int, ...] = seeds, random: bool = random) -> dict[int, Float]:
+            points = [point]
+            for i, own in steps.items():
+                model = wanted[i].model_with(point.model)
+                for key, value, h in zip(wanted[i].keys, wanted[i].nominal, own, strict=True):
+                    points.append(Point(model.with_values({key: value + h}), point.values))
+            vectors = iter(problem.predictor.derivative_vectors(points, seeds, of_noise=random, only=only))
+            here = next(vectors)
+            found = {i: np.column_stack([(next(vectors) - here) / h for h in own]) for i, own in steps.items()}
+            return {i: np.where(np.isfinite(here)[:, None], column, 0.0) for i, column in found.items()}
+
+        columns = taken({i: steps[i] for i in chosen}) if chosen else {}
+        lost = {i: -steps[i] for i in chosen if np.isnan(columns[i]).any() and _may_step(wanted[i], -steps[i])}
+        back = taken(lost) if lost else {}
+        out |= {i: np.nan_to_num(np.where(np.isnan(c), back.get(i, np.nan), c)) for i, c in columns.items()}
     return [out[i] for i in range(len(wanted))]
+
+
+def _may_step(candidate: Candidate, step: Float) -> bool:
+    there = candidate.nominal + step
+    return bool(all(p.low <= v <= p.high for p, v in zip(candidate.parameters, there, strict=True)))

@@ -111,7 +111,9 @@ def test_brighter_fatter_moves_variance_into_neighbour_covariance(place, charge)
         context = place(shot, frame=frame)
         noisy = shot.apply(charge(mean), context)
         out = effect.apply(noisy, context).values[0]
-        assert out.sum() == pytest.approx(noisy.values.sum(), rel=1e-12)  # charge is kept
+        assert out.sum() == pytest.approx(
+            noisy.values.sum(), rel=1e-7
+        )  # charge is kept but for what comes from beyond the border
         d = (out - mean)[1:-1, 1:-1]
         variance.append((d * d).mean())
         covariance.append(((d[1:] * d[:-1]).mean() + (d[:, 1:] * d[:, :-1]).mean()) / 2)

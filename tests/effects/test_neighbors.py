@@ -7,6 +7,7 @@ from isetval.core.sensor import Exposure
 from isetval.core.signal import Signal
 from isetval.effects.dark_charge import TransientHits
 from isetval.effects.dust import Dust
+from isetval.effects.electrons import BrighterFatter
 from isetval.effects.exposure import RollingFlicker
 from isetval.effects.neighbors import AmplifierCrosstalk, Blooming, InterpixelCapacitance
 from isetval.effects.readout import AlternatingColumns, CorrelatedRowNoise
@@ -29,7 +30,23 @@ def test_coupled_pixels_share_variance_as_the_kernel_says(place):
     rest = out - out.mean()
     for pair in ((rest[:, 1:], rest[:, :-1]), (rest[1:], rest[:-1])):
         assert np.mean(pair[0] * pair[1]) / MEAN == pytest.approx(2 * alpha * (1 - 4 * alpha), abs=5 * sigma)
-    assert through(InterpixelCapacitance(alpha=alpha), shot, place).sum() == pytest.approx(shot.sum(), rel=1e-12)
+
+
+EFFECTS = [
+    (InterpixelCapacitance(alpha=0.015), "electron"),
+    (BrighterFatter(a_per_e=2e-6), "electron"),
+    (AmplifierCrosstalk(share=0.02, lag_px=1.0), "dn"),
+    (AmplifierCrosstalk(share=0.02, lag_px=2.0), "dn"),
+]
+
+
+@pytest.mark.parametrize(("effect", "unit"), EFFECTS)
+def test_an_even_mosaic_stays_even_up_to_the_windows_border(effect, unit, place):
+    """A window is cut from a sensor: its last pixels have neighbors of the other color beyond it (red 9 DN too bright)."""
+    mosaic = np.tile([[900.0, 2500.0], [2400.0, 700.0]], (16, 20))
+    out = through(effect, mosaic, place, unit)
+    assert np.array_equal(out, mosaic) == (getattr(effect, "lag_px", 0) == 2)  # that before of the same color
+    np.testing.assert_allclose(out, np.tile(out[14:16, 18:20], (16, 20)), rtol=1e-12)
 
 
 def test_spilled_charge_stays_in_its_column_and_adds_up(place):
