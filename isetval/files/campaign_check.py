@@ -7,10 +7,13 @@ from dataclasses import dataclass
 
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
+from isetval.core.scene import EdgeTarget
 from isetval.files.file_facts import WHITE_SHARE, facts_of
+from isetval.files.target_search import edges_in
 from isetval.measure.campaign import analyses
 
 Progress = Callable[[str, int, int], None]
+TILT_DEG = 1.5  # of an edge, beyond what a chart is set up to (some tenths), and far below a tilt of the other sign
 DARK_SHARE = 0.001  # of the range: a lit shot below has nothing to measure
 
 
@@ -66,4 +69,21 @@ def _doubts(shot: Shot, capture: Capture) -> list[str]:
     outside = sum(not (0 <= r0 < r1 <= rows and 0 <= c0 < c1 <= cols) for r0, r1, c0, c1 in regions)
     if outside:
         out.append(f"{outside} of {len(regions)} regions lie outside the window of {rows} x {cols} pixels")
-    return out
+    return out + _edge_doubts(shot, capture)
+
+
+def _edge_doubts(shot: Shot, capture: Capture) -> list[str]:
+    """That the edge in the file is tilted otherwise than stated: a simulated one would be its mirror image."""
+    stated = shot.target
+    if not isinstance(stated, EdgeTarget):
+        return []
+    found = [edge for edge in edges_in(capture, shot.channel).targets if isinstance(edge, EdgeTarget)]
+    if not found:
+        return []
+    alike = [edge for edge in found if edge.orientation == stated.orientation]
+    if not alike:
+        return [f"its edge is {found[0].orientation}, orientation says {stated.orientation}"]
+    nearest = min(alike, key=lambda edge: abs(edge.angle_deg - stated.angle_deg))
+    if abs(nearest.angle_deg - stated.angle_deg) > TILT_DEG:
+        return [f"its edge is tilted by {nearest.angle_deg:.1f} degrees, angle_deg says {stated.angle_deg:g}"]
+    return []

@@ -1,0 +1,52 @@
+"""What `isetval campaign check` doubts of edges, before anything is measured."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isetval import load_model, simulate
+from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.scene import EdgeTarget, Spectrum
+from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
+from isetval.files.campaign_check import check_campaign
+
+SHOT = {"exposure": Exposure(0.02), "light": "white", "frames": 1, "window": (1464, 1968, 128, 128)}
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    """A vertical and a horizontal edge, tilted by 5 and by -4 degrees."""
+    model = load_model(data_folder() / "pixel4a" / "camera.toml")
+    shots = (
+        Shot("down", "edge", target=EdgeTarget("down", angle_deg=5.0), **SHOT),
+        Shot("across", "edge", target=EdgeTarget("across", angle_deg=-4.0, orientation="horizontal"), **SHOT),
+    )
+    white = Light("white", Spectrum(np.array([390.0, 710.0]), np.array([0.0016, 0.0016])))
+    return simulate(model, Campaign("edges", shots, lights={"white": white}, sensor=model.sensor), seed=2)
+
+
+def doubts(campaign, **stated):
+    shots = tuple(replace(shot, target=replace(shot.target, **stated.get(shot.name, {}))) for shot in campaign.shots)
+    return {row.shot: row.doubts for row in check_campaign(replace(campaign, shots=shots))}
+
+
+def test_edges_as_stated_are_not_doubted(campaign):
+    assert doubts(campaign) == {"down": (), "across": ()}
+
+
+def test_an_edge_that_is_tilted_the_other_way_is(campaign):
+    """Ten degrees are 50 sigmas of any prior of its angle; a diagnosis named motion along 17 degrees in place of 25."""
+    found = doubts(campaign, down={"angle_deg": -5.0}, across={"angle_deg": 4.0})
+    for name, tilt, stated in (("down", 5.0, "-5"), ("across", -4.0, "4")):
+        (words,) = found[name]
+        start, end = "its edge is tilted by ", f" degrees, angle_deg says {stated}"
+        assert words.startswith(start)
+        assert words.endswith(end)
+        assert float(words.removeprefix(start).removesuffix(end)) == pytest.approx(tilt, abs=0.5)
+
+
+def test_an_edge_along_the_other_axis_is(campaign):
+    found = doubts(campaign, down={"orientation": "horizontal"})
+    assert found["down"] == ("its edge is vertical, orientation says horizontal",)
