@@ -290,9 +290,22 @@ def _refit(case: Investigation, say: Say, *, first: bool, far: bool) -> None:
             continue
         say(f"fitting {', '.join(sorted(names))}")
         fitted.append(fitted_jointly(case, names))
+    _give_forms(case, sorted(fitted, key=case.score, reverse=True), say)
+
+
+def _give_forms(case: Investigation, fitted: Sequence[Hypothesis], say: Say) -> None:
+    """Put hypotheses, the best first, into the forms that the data ask for.
+
+    One that only a freer form put in front of those before it does not win by that: they are asked for theirs, though what they
+    leave would not be seen by itself.
+    """
     lead = max(map(case.score, [*fitted, case.standing]))
-    for found in sorted(fitted, key=case.score, reverse=True):
+    for found in fitted:
         case.known[found.names] = in_best_form(case, found, say, lead=lead)
+    first = max(fitted, key=lambda h: case.score(case.known[h.names]), default=None)
+    for found in fitted[: fitted.index(first)] if first is not None else ():
+        if case.known[found.names] is found:
+            case.known[found.names] = in_best_form(case, found, say, asked=True)
 
 
 def _worth_a_first_fit(case: Investigation, names: Names, place: int) -> bool:
