@@ -219,7 +219,10 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
     beaten = best - CLEAR - case.log_prior(members) if promised is None else -np.inf
     problem = case.problem if drawn else case.problem.with_draws(_draws_of(members))
     found = refit(problem, case.prepared.model, reference, members, values, steps, promised, beaten=beaten)
-    if any(m.draws_noise for m in found.effects if m.name not in case.standing.names) and found.weighed.scales.max() > WIDER_ROWS:
+    if (
+        any(m.goes_as_square for m in found.effects if m.name not in case.standing.names)
+        and found.weighed.scales.max() > WIDER_ROWS
+    ):
         found = _at_its_own_weights(case, found)
     case.known[names] = found
     return found
