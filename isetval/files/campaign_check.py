@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
+from isetval.core.errors import InputError
 from isetval.core.scene import EdgeTarget
 from isetval.files.file_facts import WHITE_SHARE, facts_of
 from isetval.files.target_search import edges_in
@@ -77,7 +78,10 @@ def _edge_doubts(shot: Shot, capture: Capture) -> list[str]:
     stated = shot.target
     if not isinstance(stated, EdgeTarget):
         return []
-    found = [edge for edge in edges_in(capture, shot.channel).targets if isinstance(edge, EdgeTarget)]
+    try:
+        found = [edge for edge in edges_in(capture, shot.channel).targets if isinstance(edge, EdgeTarget)]
+    except InputError as error:
+        return [str(error)]
     if not found:
         return []
     alike = [edge for edge in found if edge.orientation == stated.orientation]

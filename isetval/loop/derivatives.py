@@ -14,6 +14,7 @@ from isetval.core.parameter import Parameter
 from isetval.loop.focus_chain import at_same_focus, focus_shifts, through_focus
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Column, Problem
+from isetval.loop.shoulder import KINK
 
 Float = NDArray[np.float64]
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
@@ -24,7 +25,6 @@ STRAIGHT = (
 )
 LONG = 2 * STRAIGHT  # beyond which a step is shortened
 SHORTER = 4.0  # by which steps of light are shortened where rows come out otherwise than derivatives foretold
-KINK = 2.0  # ratio of slopes ahead and behind beyond which one is of a saturated level; of a square at half steps it is 1.7
 
 
 def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Parameter, ...]:

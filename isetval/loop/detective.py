@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -16,15 +14,14 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
+from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
-from isetval.loop.forms import in_best_form, something_left
+from isetval.loop.forms import in_best_form
 from isetval.loop.investigation import (
-    BENDS,
     CLEAR,
+    ODDS,
     Investigation,
     ask_holdout,
-    fitted_jointly,
     rebase,
     weigh_neighbours,
 )
@@ -33,20 +30,13 @@ from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate, split_sessions
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
+from isetval.loop.shortlist import fit_likely, unfitted
 from isetval.loop.signatures import signatures
 from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
 from isetval.loop.verdict import ALPHA, account_of, something_unknown, stopped_account
 
 Float = NDArray[np.float64]
-ODDS = 19.0  # 95 %: what a name needs against the same without it
-FORMS_TRIED = 2  # of a class at one base: four periods of alternating columns left no room for another effect
-SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each simulates the plan several times
-# at the nominal base a true one may lie far behind by its signature: a ghost of 4 %, the sixth, was 34 in ln Z ahead when fitted
-LONG_LIST = 12
-BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
-# Z grows with the logarithm of chi2 only and cannot be asked (a black level of 140 sigma left 3 % of a chi2 of 20,000)
-RANKED = 20  # subsets looked at for what to fit: those after them hold less than one in a hundred
 LIMIT_S = 3600.0  # a search that is not over in an hour is asked for by name: the longest that was seen took a quarter of it
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
@@ -123,19 +113,13 @@ def diagnose(
         except TimeUp:
             watch.open = False
             gate = gate_with(prepared, gate, case.problem, case.fitted)
-            return _gate_failed(case, gate) if gate["failed"] else stopped_account(case, gate, watch, unfitted=_unfitted(case))
+            return _gate_failed(case, gate) if gate["failed"] else stopped_account(case, gate, watch, unfitted=unfitted(case))
 
 
 def _unfinished(model: CameraModel, watch: Deadline) -> Diagnosis:
     words = (f"any effect: stopped after {watch.limit_s:g} s while {watch.words}",)
     gate = {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None, "reason": "the time was over before"}
     return Diagnosis("unfinished", (), (), (), (), None, (), gate, model, model, not_looked_at=words)
-
-
-def _unfitted(case: Investigation) -> list[str]:
-    """Effects of which the linear sum says that they may be missing, and that were not fitted in full."""
-    fitted = {name for names in case.known if names not in case.rough for name in names}
-    return [name for names in _proposals(case, first=True)[:RANKED] for name in names if name not in fitted]
 
 
 def _gate_failed(case: Investigation, gate: Mapping[str, Any]) -> Diagnosis:
@@ -225,7 +209,7 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool, far
     ``far``: also what signatures promise little of is fitted.  A shadow of pixels goes as its square and shows at a quarter of
     its prior's width along another line than at the whole: something is seen to be there, and no signature tells what.
     """
-    _refit(case, say, first=first, far=far)
+    fit_likely(case, say, first=first, far=far)
     rivals = _rivals(case, seen)
     lead = max(rivals, key=case.score, default=None)
     if lead is None:
@@ -274,119 +258,6 @@ def _needed(case: Investigation, other: Hypothesis) -> float:
         return float(np.log(ODDS))
     found = any(row.p_corrected < ALPHA for row in case.rows if row.name in other.names)
     return 0.0 if case.held is None and found else float(np.log(ODDS)) - case.table.log_rest(other.names)
-
-
-def _refit(case: Investigation, say: Say, *, first: bool, far: bool) -> None:
-    """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about.
-
-    Other forms of each are asked for when all were fitted, the best first: of what lies far behind, all in the catalogue's forms,
-    none is.  A knee between two of the catalogue's loses to a free curve of a bent response by 330 until its own place is free.
-    """
-    fitted = []
-    wanted = _one_away(case) if far else _proposals(case, first=first)
-    many = first or (far and not case.standing.names)
-    for i, names in enumerate(of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]):
-        if not far and not (_worth_a_first_fit(case, names, i) if first else _worth_a_fit(case, names)):
-            continue
-        say(f"fitting {', '.join(sorted(names))}")
-        fitted.append(fitted_jointly(case, names))
-    _give_forms(case, sorted(fitted, key=case.score, reverse=True), say)
-
-
-def _give_forms(case: Investigation, fitted: Sequence[Hypothesis], say: Say) -> None:
-    """Put hypotheses, the best first, into the forms that the data ask for.
-
-    One that only a freer form put in front of those before it does not win by that: they are asked for theirs, though what they
-    leave would not be seen by itself.
-    """
-    lead = max(map(case.score, [*fitted, case.standing]))
-    for found in fitted:
-        case.known[found.names] = in_best_form(case, found, say, lead=lead)
-    first = max(fitted, key=lambda h: case.score(case.known[h.names]), default=None)
-    for found in fitted[: fitted.index(first)] if first is not None else ():
-        if case.known[found.names] is found:
-            case.known[found.names] = in_best_form(case, found, say, asked=True)
-
-
-def _worth_a_first_fit(case: Investigation, names: Names, place: int) -> bool:
-    """Whether a single effect is fitted: the first few are, then what may win, or may by chi2 while no fit leaves nothing.
-
-    Of chi2 of 29 million a response that bends by 2 % at a full well took 99.8 % by its derivatives, and was the last in ln Z.
-    """
-    if place < SHORT_LIST or not _is_behind(case, names):
-        return True
-    best = max(case.known.values(), key=case.score)
-    return names in _by_chi2(case) and something_left(case, best)
-
-
-def _worth_a_fit(case: Investigation, names: Names) -> bool:
-    return not _is_behind(case, names) and _may_be_found(case, names)
-
-
-def _is_behind(case: Investigation, names: Names) -> bool:
-    """Whether a subset lies too far behind by its derivatives to win, which are wrong by a part of what they promise."""
-    best = max(case.score(h) for h in case.known.values())
-    return case.table.logs[names] < best - CLOSE_LOG_ODDS - BENDS * (best - case.score(case.standing))
-
-
-def _may_be_found(case: Investigation, names: Names) -> bool:
-    """Whether a fit may find what more names than stand need: at least a part of that which signatures may be wrong by.
-
-    Of ninety effects some gain 3 to 7 in chi2 by chance, which is a tenth of what a name needs; a fit is some fifty simulations.
-    """
-    if not names > case.standing.names:
-        return True
-    stands = case.log_prior(case.standing.members)
-    added = case.log_prior([case.member(name) for name in sorted(names)]) - stands
-    gain = case.table.logs[names] - case.score(case.standing) - added
-    return gain > (1 - BENDS) * (float(np.log(ODDS)) - added)
-
-
-def of_several_classes(case: Investigation, proposals: Sequence[Names]) -> list[Names]:
-    """Subsets in their order, of each set of classes the first `FORMS_TRIED` in whatever forms."""
-    tried: Counter[Names] = Counter()
-    out = []
-    for names in proposals:
-        classes = frozenset(getattr(case.member(name), "klass", name) for name in names)
-        tried[classes] += 1
-        if tried[classes] <= FORMS_TRIED:
-            out.append(names)
-    return out
-
-
-def _proposals(case: Investigation, *, first: bool) -> list[Names]:
-    """Subsets that are fitted in full, the most probable first: single effects first, later what has one more than it gives up.
-
-    Far from the place of a fit the sum explains what bends by further effects; at the next base they are no longer asked for.
-    """
-    logs, stands = case.table.logs, case.standing.names
-    ranked = [n for n in case.table.ranked if (n not in case.known or n in case.rough) and len(n) <= MAX_EFFECTS]
-    if not first:
-        return [n for n in ranked if len(n - stands) <= 1 + len(stands - n)][:RANKED]
-    singles = [names for names in ranked if len(names) == 1]
-    if not singles:
-        return []
-    gain = logs[singles[0]] - logs[NOTHING]
-    floor = max(logs[singles[0]] - CLOSE_LOG_ODDS - BENDS * max(gain, 0.0), logs[NOTHING] - CLOSE_LOG_ODDS)
-    likely = [names for names in singles if logs[names] > floor]
-    return list(dict.fromkeys(name for both in zip_longest(likely, _by_chi2(case)) for name in both if name))
-
-
-def _by_chi2(case: Investigation) -> list[Names]:
-    """Single effects not fitted yet that take nearly as much of chi2 as the best does, which what bends may hide in ln Z."""
-    chi2 = {frozenset({row.name}): row.dchi2 for row in case.rows if row.p_corrected < ALPHA}
-    most = max(chi2.values(), default=0.0)
-    open_ = [n for n in chi2 if n in case.table.logs and n not in case.known and chi2[n] > (1 - BEND**2) * most]
-    return sorted(open_, key=lambda n: -chi2[n])
-
-
-def _one_away(case: Investigation) -> list[Names]:
-    """Subsets with one effect more than stand, or another in the place of one, the most probable first."""
-    stands = case.standing.names
-    return [
-        n for n in case.table.ranked
-        if (n not in case.known or n in case.rough) and len(n) <= MAX_EFFECTS and len(n - stands) == 1 and len(stands - n) <= 1
-    ]  # fmt: skip
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:

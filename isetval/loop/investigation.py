@@ -37,6 +37,7 @@ Float = NDArray[np.float64]
 SLIPS = (
     0.1  # odds that a laboratory is wrong about any of its unknowns, in units of an effect's: priors are stated by who measured
 )
+ODDS = 19.0  # 95 %: what a name needs against the same without it
 BENDS = 0.5  # share of what a single effect explains that its signature may be wrong by: what the nuisances leave of it is small,
 # and another form of it explains more (a vignetting of 6 %: 42 of 89 in ln Z)
 MAX_REBASES = 5  # new bases at a moving strength: a bound on cost

@@ -24,9 +24,10 @@ from isetval.measure.analyses.flat_fields import PLATEAU_SIGMA_DN
 Float = NDArray[np.float64]
 REACH = 3.0  # sigmas of the stated light that are looked at: beyond, one set-up in 400 stands
 WIDEST = 0.1  # of the light: what is stated more loosely is found by a fit, about which weights are then made anew
-KINK = 2.0  # ratio of what more light and what less does to a mean, beyond which it is no bend of a response (20 % at full well)
+KINK = 2.0  # ratio of slopes ahead and behind beyond which one is of a saturated level; of a square at half steps it is 1.7
 MATTERS = 3.0  # sigmas of a mean by which it must bend for this to matter
 FULL = 0.02  # of what light does to a mean that is not full: what is left of it where all but the last pixels are
+AS_BRIGHT = 0.9  # of the brightest mean: wells are alike to some percent; what dark current made light moves little either
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,8 @@ def filling(predictor: Predictor, origin: Point, anchor: Float, sigma: Float, se
     light = np.array([width.get(m.shot, 0.0) for m in table.metrics]) * np.abs(anchor)
     with np.errstate(invalid="ignore"):
         most, least = np.maximum(ahead, behind), np.minimum(ahead, behind)
-        full = levels & (most < FULL * light)
+        bright = np.abs(anchor) > AS_BRIGHT * np.nanmax(np.abs(anchor[levels]), initial=0.0)
+        full = levels & bright & (most < FULL * light)
         bent = levels & ~full & (most > KINK * least) & (most - least > MATTERS * sigma)
     return Filling(_of_planes(table, bent), np.where(full, PLATEAU_SIGMA_DN**2, 0.0))
 

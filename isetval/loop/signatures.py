@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -276,23 +276,33 @@ def _secants(
     kinds = [(c.effect.random != "none", c.effect.draws_normals and not c.present) for c in wanted]
     for seeds, random, mirrored in ((SIGNATURE_SEEDS, False, False), (SIGNATURE_SEEDS, True, True), (RANDOM_SEEDS, True, False)):
         chosen = [i for i, kind in enumerate(kinds) if kind == (random, mirrored)]
-
-        def taken(steps: Mapping[int, Float], seeds: tuple[int, ...] = seeds, random: bool = random) -> dict[int, Float]:
-            points = [point]
-            for i, own in steps.items():
-                model = wanted[i].model_with(point.model)
-                for key, value, h in zip(wanted[i].keys, wanted[i].nominal, own, strict=True):
-                    points.append(Point(model.with_values({key: value + h}), point.values))
-            vectors = iter(problem.predictor.derivative_vectors(points, seeds, of_noise=random, only=only))
-            here = next(vectors)
-            found = {i: np.column_stack([(next(vectors) - here) / h for h in own]) for i, own in steps.items()}
-            return {i: np.where(np.isfinite(here)[:, None], column, 0.0) for i, column in found.items()}
-
-        columns = taken({i: steps[i] for i in chosen}) if chosen else {}
-        lost = {i: -steps[i] for i in chosen if np.isnan(columns[i]).any() and _may_step(wanted[i], -steps[i])}
-        back = taken(lost) if lost else {}
-        out |= {i: np.nan_to_num(np.where(np.isnan(c), back.get(i, np.nan), c)) for i, c in columns.items()}
+        ahead = dict(zip(chosen, _one_sided(problem, point, [(wanted[i], steps[i]) for i in chosen], seeds, only), strict=True))
+        lost = [i for i in chosen if np.isnan(ahead[i]).any() and _may_step(wanted[i], -steps[i])]
+        back = dict(zip(lost, _one_sided(problem, point, [(wanted[i], -steps[i]) for i in lost], seeds, only), strict=True))
+        out |= {i: np.nan_to_num(np.where(np.isnan(c), back.get(i, np.nan), c)) for i, c in ahead.items()}
     return [out[i] for i in range(len(wanted))]
+
+
+def _one_sided(
+    problem: Problem,
+    point: Point,
+    stepped: Sequence[tuple[Candidate, Float]],
+    seeds: tuple[int, ...],
+    only: Collection[str] | None,
+) -> list[Float]:
+    """Raw secants (metrics, parameters) of candidates by their steps; nan where a row is lost by the step, 0 where it is none."""
+    if not stepped:
+        return []
+    points = [point]
+    for candidate, steps in stepped:
+        model = candidate.model_with(point.model)
+        for key, value, h in zip(candidate.keys, candidate.nominal, steps, strict=True):
+            points.append(Point(model.with_values({key: value + h}), point.values))
+    of_noise = any(candidate.effect.random != "none" for candidate, _ in stepped)
+    vectors = iter(problem.predictor.derivative_vectors(points, seeds, of_noise=of_noise, only=only))
+    here = next(vectors)
+    known = np.isfinite(here)[:, None]
+    return [np.where(known, np.column_stack([(next(vectors) - here) / h for h in steps]), 0.0) for _, steps in stepped]
 
 
 def _may_step(candidate: Candidate, step: Float) -> bool:

@@ -50,3 +50,11 @@ def test_an_edge_that_is_tilted_the_other_way_is(campaign):
 def test_an_edge_along_the_other_axis_is(campaign):
     found = doubts(campaign, down={"orientation": "horizontal"})
     assert found["down"] == ("its edge is vertical, orientation says horizontal",)
+
+
+def test_a_channel_that_the_sensor_has_not_is_a_doubt_and_no_end(campaign):
+    """All other shots are checked all the same."""
+    shots = tuple(replace(shot, channel="MONO") if shot.name == "down" else shot for shot in campaign.shots)
+    found = {row.shot: row.doubts for row in check_campaign(replace(campaign, shots=shots))}
+    assert "needs one of R, Gr, Gb, B, G" in found["down"][0]
+    assert found["across"] == ()

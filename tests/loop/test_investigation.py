@@ -12,7 +12,7 @@ from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.detective import CLEAR, ODDS, _better, _proposals, of_several_classes
+from isetval.loop.detective import CLEAR, ODDS, _better
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
@@ -20,6 +20,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
+from isetval.loop.shortlist import _proposals, of_several_classes
 from isetval.loop.signatures import Signature
 
 ROWS = 6

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from isetval.loop import detective
+from isetval.loop import shortlist
 
 OWN = {"knee": -411.0, "bent": -430.4, "table": -470.0}  # ln(Z pi) of the trial that this is (a knee of .76 % at 2500 e-)
 FREE = {"knee": -400.7, "bent": -407.6, "table": -469.0}
@@ -33,10 +33,10 @@ def test_what_a_freer_form_put_in_front_does_not_win_by_that(monkeypatch, seen, 
         opened.add(found.name)
         return Found(found.name, FREE[found.name])
 
-    monkeypatch.setattr(detective, "in_best_form", in_best_form)
+    monkeypatch.setattr(shortlist, "in_best_form", in_best_form)
     fitted = [Found(name, value) for name, value in OWN.items()]
     case = SimpleNamespace(known={f.names: f for f in fitted}, standing=Found("", -524.0), score=lambda h: h.value)
-    detective._give_forms(case, fitted, print)
+    shortlist._give_forms(case, fitted, print)
     assert opened == wanted
     best = max(case.known.values(), key=case.score)
     assert best.name == "knee"

@@ -1,14 +1,19 @@
 """Levels that fill up within the light's tolerance do not hold the light where it was stated."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from isetval import simulate
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.loop.prepared import prepare
+from isetval.loop.shoulder import filling
+from isetval.measure.analyses.flat_fields import PLATEAU_SIGMA_DN
 
 WELL_E = 4500.0  # 832 DN, below the converter's end
 SIGMA = 0.02
@@ -62,3 +67,35 @@ def test_planes_below_and_beyond_are_kept(model, tmp_path, monkeypatch):
             rows = ready.problem.predictor.table.metrics
             kept = {(rows[i].shot, rows[i].channel) for i in ready.problem.keep if rows[i].name == "mean"}
         assert ("field0", "Gr") in kept
+
+
+class Levels:
+    """Means of four planes: below a full well of 4000 DN, in the middle of its shoulder, beyond it, and of dark current alone."""
+
+    light_dn = np.array([2000.0, 4000.0, 6000.0, 1.0])
+    dark_dn = np.array([0.0, 0.0, 0.0, 900.0])
+
+    def __init__(self, plan):
+        self.plan, self.shots = plan, plan.shots
+        metrics = [
+            Metric("mean", 0.0, 1.0, "DN", shot="a", channel=c, family="flat_mean") for c in ("below", "half", "full", "dark")
+        ]
+        self.table = SimpleNamespace(metrics=metrics)
+
+    def only(self, names):
+        return self
+
+    def of_plan(self, plan):
+        return Levels(plan)
+
+    def derivative_vectors(self, points, seeds):
+        return [np.minimum(self.light_dn * self.plan.shots[0].light_level + self.dark_dn, 4000.0)]
+
+
+def test_which_planes_are_full_and_which_fill_up():
+    prior = Nuisance("light_level", SIGMA, "relative", "set-up", roles=("flat",))
+    plan = Levels(Campaign("levels", (Shot("a", "flat", "s"),), nuisances=(prior,)))
+    (anchor,) = plan.derivative_vectors([None], (0,))
+    found = filling(plan, None, anchor, np.ones(4), (0,))
+    np.testing.assert_array_equal(found.partly, [False, True, False, False])
+    np.testing.assert_allclose(found.plateau, [0, 0, PLATEAU_SIGMA_DN**2, 0])
