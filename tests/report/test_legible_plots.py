@@ -8,7 +8,7 @@ import isetval
 from isetval.app.plots import noise, shading
 from isetval.app.plots.panels import own_axes, plain_log
 from isetval.app.report.charts import ladder_bars
-from isetval.app.report.diagnosis_parts import candidates
+from isetval.app.report.diagnosis_parts import _suspects, candidates
 from isetval.app.words import chance_words
 
 
@@ -82,6 +82,22 @@ def test_suspects_that_chance_cannot_explain_are_sorted_by_what_they_explain():
     rows = candidates({"candidates": [suspect("a", 50.0, 0.0), suspect("b", 9.0, 0.01), suspect("c", 5000.0, 0.0)]})
     assert [(row["name"], row["p"]) for row in rows] == [("c", "< 1e-300"), ("a", "< 1e-300"), ("b", "0.01")]
     assert chance_words(1e-120) == "1e-120"
+
+
+def test_bars_of_what_is_missing_show_an_effect_once():
+    """Four corners of a glow are one effect in its best form, and fit as well as what is named."""
+
+    def suspect(name, dchi2):
+        return {"name": name, "dchi2": dchi2, "p_corrected": 0.0, "observable": True}
+
+    corners = [suspect("amp_glow", 90.0), suspect("amp_glow (x0 -0.8)", 98.0), suspect("amp_glow (y0 -0.6)", 95.0)]
+    effect = {"name": "dark_current", "equivalent": ["amp_glow"]}
+    bars = _suspects({"candidates": [suspect("dark_current", 100.0), *corners, suspect("lag", 20.0)], "effects": [effect]})
+    assert [(bar["name"], bar["mark"]) for bar in bars] == [
+        ("dark current", "named"),
+        ("amp glow (x0 -0.8)", "tied"),
+        ("lag", ""),
+    ]
 
 
 def test_the_pattern_of_one_level_is_drawn_from_nothing():

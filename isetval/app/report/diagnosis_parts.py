@@ -43,11 +43,14 @@ def _hidden(diagnosis: Mapping[str, Any], demo: Mapping[str, Any] | None) -> dic
 
 
 def _suspects(diagnosis: Mapping[str, Any], count: int = 6) -> list[dict[str, Any]]:
-    """The candidates that explain most, as shares of the best."""
-    seen = [c for c in diagnosis["candidates"] if c["observable"] and (c["dchi2"] or 0) > 0]
-    seen.sort(key=lambda c: -c["dchi2"])
-    if not seen:
+    """The candidates that explain most, each in its best form, as shares of the best."""
+    ranked = sorted((c for c in diagnosis["candidates"] if c["observable"] and (c["dchi2"] or 0) > 0), key=lambda c: -c["dchi2"])
+    if not ranked:
         return []
+    best: dict[str, Mapping[str, Any]] = {}
+    for candidate in ranked:
+        best.setdefault(_class(candidate), candidate)
+    seen = list(best.values())
     named = {e["name"] for e in diagnosis["effects"]}
     tied = {n for e in diagnosis["effects"] for n in e["equivalent"]}
     top = seen[0]["dchi2"]
@@ -57,10 +60,15 @@ def _suspects(diagnosis: Mapping[str, Any], count: int = 6) -> list[dict[str, An
             "share": round(100 * c["dchi2"] / top, 1),
             "dchi2": f"{c['dchi2']:.0f}",
             "significant": c["p_corrected"] < 0.01,
-            "mark": "named" if c["name"] in named else "tied" if c["name"] in tied else "",
+            "mark": "named" if _class(c) in named else "tied" if _class(c) in tied else "",
         }
         for c in seen[:count]
     ]
+
+
+def _class(candidate: Mapping[str, Any]) -> str:
+    """The effect that a candidate is a form of: "amp_glow" of "amp_glow (x0 -0.8)"."""
+    return str(candidate["name"]).split(" (")[0]
 
 
 def candidates(diagnosis: Mapping[str, Any] | None) -> list[dict[str, str]]:
