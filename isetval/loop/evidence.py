@@ -15,7 +15,7 @@ from isetval.loop.code_stair import CODES, on_lowest_step
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
-from isetval.loop.gaussian import hessian, orthonormal_basis, prior_weights, with_priors
+from isetval.loop.gaussian import hessian, inverse, orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
@@ -187,7 +187,7 @@ def imitators(fitted: Fit) -> frozenset[str]:
     stated, no turn of an edge does what a blur does.
     """
     rows = fitted.weight[:, None] * fitted.jacobian
-    covariance = np.linalg.pinv(hessian(rows, fitted.free))
+    covariance = inverse(hessian(rows, fitted.free))
     length = np.linalg.norm(rows, axis=0)
     effects = [i for i, f in enumerate(fitted.free) if not f.is_nuisance]
     imitated = [i for i in effects if length[i] * np.sqrt(covariance[i, i]) > IMITATED]

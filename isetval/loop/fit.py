@@ -12,7 +12,7 @@ from isetval.core.parameter import Parameter
 from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, jacobian, take_shorter_steps
 from isetval.loop.family_scales import Families
 from isetval.loop.fit_state import FitState, is_closer, next_step
-from isetval.loop.gaussian import hessian
+from isetval.loop.gaussian import hessian, inverse
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 
@@ -24,6 +24,8 @@ MAX_FAILURES = 2  # steps in a row that help no more than rounding may: a third 
 RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right never needs more
 FORETOLD = 3.0  # sigmas by which a row may come out other than a step foretold before the light's derivatives are taken anew
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
+NEAR = 2.0  # sigmas of all rows together that a fit may move with derivatives from both sides: a fifth of the ten sigmas over
+# which they are taken (`evidence.SPAN`); those of a free form of twelve parameters cost nine seconds a place
 TRUSTED = 0.75  # of a promised fall: derivatives that predicted so much of it are kept (as trust regions grow, More 1978)
 
 
@@ -139,11 +141,12 @@ def _descended(
     """Where Gauss-Newton steps end that make the cost least which error bars of these families have."""
     state = FitState.at(problem, start, free, pose, families)
     matrix = jacobian(problem, state.posed(start, free), free)
-    radius, failures, of_here = RADIUS, 0, False
+    radius, failures, of_here, taken = RADIUS, 0, False, state.values
     for _ in range(iterations):
         if state.is_close(matrix):
             if not of_here:  # derivatives of the place before say so: those of the place itself may promise more
                 matrix, of_here = jacobian(problem, state.posed(start, free), free, both_sides=True), True
+                taken = state.values
             if state.is_close(matrix):
                 break
         step, promised, length = next_step(matrix, state, radius)
@@ -153,7 +156,8 @@ def _descended(
         take_shorter_steps(problem, free, matrix[foretold_wrong])
         failures = 0 if fell > state.rounding else failures + 1
         if fell > 0 or is_closer(matrix, moved, state):
-            state, of_here = moved, False
+            state = moved
+            of_here = of_here and not foretold_wrong.any() and bool(np.linalg.norm(matrix @ (moved.values - taken)) < NEAR)
             if fell < 0.25 * promised:
                 radius = length / 2
             elif fell > TRUSTED * promised:
@@ -162,12 +166,13 @@ def _descended(
             radius = length / 6
         if failures > MAX_FAILURES:
             break
-        if not state.is_close(matrix):
+        if not (of_here or state.is_close(matrix)):
             matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if fell > TRUSTED * promised else 0.0)
     converged = state.is_close(matrix)
     if free and converged and iterations:
         state = state.led(problem, free, matrix)
-    matrix = jacobian(problem, state.posed(start, free), free, both_sides=True)
+    if not of_here:
+        matrix = jacobian(problem, state.posed(start, free), free, both_sides=True)
     return _ended(problem, state, start, free, matrix, converged)
 
 
@@ -176,7 +181,7 @@ def _ended(problem: Problem, state: FitState, start: Point, free: tuple[Paramete
         point=state.point(start, free),
         free=free,
         values=state.values,
-        covariance=np.asarray(np.linalg.pinv(hessian(matrix, free))) if free else np.zeros((0, 0)),
+        covariance=inverse(hessian(matrix, free)),
         prediction=state.prediction,
         residual=problem.measured - state.prediction,
         z=state.z,

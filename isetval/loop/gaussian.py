@@ -90,6 +90,18 @@ def hessian(jacobian: Float, free: Sequence[Parameter]) -> Float:
     return np.asarray(jacobian.T @ jacobian + np.diag(prior_weights(free) ** 2))
 
 
+def inverse(matrix: Float) -> Float:
+    """The pseudo-inverse of a positive matrix whose scales may differ by many orders.
+
+    A radiance of 1e-7 has a second derivative of 1e15, beside which that of a prior of width 1 is lost to rounding: each row
+    and column is brought to a diagonal of 1 first.
+    """
+    scale = np.sqrt(np.diag(matrix))
+    scale[scale == 0] = 1.0
+    each = np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(matrix / each, hermitian=True) / each)
+
+
 def log_determinant(matrix: Float) -> float:
     """Ln det of a positive matrix whose scales may differ by many orders; rows of zeros do not count."""
     if not matrix.size:
@@ -104,7 +116,7 @@ def degrees_spent(rows: Float, jacobian: Float, free: Sequence[Parameter]) -> fl
 
     Rows are whitened, ``jacobian`` (m, parameters) is that of all that was fitted: trace of H^-1 rows' rows.
     """
-    return float(np.trace(np.linalg.pinv(hessian(jacobian, free)) @ (rows.T @ rows))) if free else 0.0
+    return float(np.trace(inverse(hessian(jacobian, free)) @ (rows.T @ rows))) if free else 0.0
 
 
 def with_priors(jacobian: Float, free: Sequence[Parameter]) -> tuple[Float, NDArray[np.intp]]:
@@ -115,12 +127,13 @@ def with_priors(jacobian: Float, free: Sequence[Parameter]) -> tuple[Float, NDAr
 
 
 def orthonormal_basis(matrix: Float) -> Float:
-    """An orthonormal basis of the columns; columns that add nothing above 1e-10 of the largest are left out."""
+    """An orthonormal basis of the columns; those of which 1e-10 or less stands out from the ones before are left out."""
     if not matrix.shape[1]:
         return np.zeros((len(matrix), 0))
-    q, r = np.linalg.qr(matrix)
-    size = np.abs(np.diag(r))
-    return np.asarray(q[:, size > 1e-10 * max(size.max(initial=0.0), 1e-300)])
+    length = np.linalg.norm(matrix, axis=0)
+    length[length == 0] = 1.0
+    q, r = np.linalg.qr(matrix / length)
+    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-10])
 
 
 def scatter(values: Float, covariance: Float, metrics: Sequence[Metric]) -> Float:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
 from isetval.loop.derivatives import jacobian, value_at
-from isetval.loop.gaussian import hessian
+from isetval.loop.gaussian import hessian, inverse
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 
@@ -57,7 +57,7 @@ def _is_left(problem: Problem, start: Point, free: Sequence[Parameter], matrix: 
     """Whether the rows that focus moves would not fit if the derivatives at the start held."""
     (prediction,) = problem.predict([start])
     z = problem.whitened(problem.measured - prediction)
-    left = z - matrix @ (np.linalg.pinv(hessian(matrix, free)) @ (matrix.T @ z))
+    left = z - matrix @ (inverse(hessian(matrix, free)) @ (matrix.T @ z))
     moved = [problem.columns[f.label].slope[problem.keep] != 0 for f in free if f.focus]
     own = left[np.any(moved, axis=0)]
     return bool(own.size) and not np.mean(own**2) < 1 + BEYOND * np.sqrt(2 / own.size)
@@ -69,4 +69,4 @@ def _cost(problem: Problem, prediction: Float, beside: Float, kept: Sequence[Par
     if not kept:
         return float(z @ z)
     pull = beside.T @ z
-    return float(z @ z - pull @ np.linalg.pinv(hessian(beside, kept)) @ pull)
+    return float(z @ z - pull @ inverse(hessian(beside, kept)) @ pull)

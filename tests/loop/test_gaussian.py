@@ -7,6 +7,7 @@ from isetval.core.parameter import Parameter
 from isetval.loop.gaussian import (
     degrees_spent,
     expected_mean_square,
+    inverse,
     log_determinant,
     orthonormal_basis,
     square,
@@ -66,3 +67,14 @@ def test_a_parameter_held_by_its_prior_spends_less_than_one_row():
         assert matrix.shape == (N + len(priors), 1)
     basis = orthonormal_basis(np.column_stack([column, 2 * column]))
     assert basis.shape == (N, 1)
+
+
+def test_inverse_and_basis_do_not_lose_what_is_small_in_its_units():
+    """A radiance of 1e-8 beside a prior of width 1: what one is measured in takes nothing from the other."""
+    rng = np.random.default_rng(5)
+    rows = rng.standard_normal((200, 3))
+    scale = np.array([1e8, 1.0, 1e-3])
+    found = inverse((rows * scale).T @ (rows * scale))
+    assert np.allclose(found * np.outer(scale, scale), np.linalg.inv(rows.T @ rows), rtol=1e-6)
+    assert inverse(np.diag([0.0, 4.0])) == pytest.approx(np.diag([0.0, 0.25]))
+    assert orthonormal_basis(rows * np.array([1e12, 1.0, 1e-3])).shape == (200, 3)
