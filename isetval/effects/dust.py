@@ -17,8 +17,8 @@ class Dust(Effect):
 
     Only where it lies; sealed phone cameras rarely have one.  In a window that it covers wholly it looks like a lower light or
     like vignetting, at the sensor's border like decenter; the camera shifted in the light field keeps it, a wider
-    aperture washes it out.  Its place is not searched for, so it is no candidate of the diagnosis, whose templates of the
-    unknown say where a spot lies; its own entry for models that state it.
+    aperture washes it out.  A diagnosis looks for one grain, in the windows of the plan's flats: what lies between them shows
+    in no number.
     """
 
     name = "dust"
@@ -32,15 +32,17 @@ class Dust(Effect):
         "prnu",
         "light_nonuniformity",
     )
-    candidate = False
+    lies_at = ("x0", "y0")
     equation = "E x (1 - d exp(-((x - x0)^2 + (y - y0)^2)/(2 w^2))), in half diagonals"
     reference = "Dirik, Sencar & Memon, IEEE Trans. Inf. Forensics Secur. 3 (2008) 539 (Gaussian intensity loss)"
     must_not_change = ("dark",)
 
     depth: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.05, doc="loss d in the middle of the shadow")
-    x0: float = parameter(0.0, unit="half diagonal", low=-1.0, high=1.0, shape=True, doc="column place of the shadow")
-    y0: float = parameter(0.0, unit="half diagonal", low=-1.0, high=1.0, shape=True, doc="row place of the shadow")
-    width: float = parameter(0.03, unit="half diagonal", low=1e-3, high=0.5, shape=True, doc="standard deviation w of the shadow")
+    x0: float = parameter(0.0, unit="half diagonal", low=-1.0, high=1.0, tau=0.03, shape=True, doc="column place of the shadow")
+    y0: float = parameter(0.0, unit="half diagonal", low=-1.0, high=1.0, tau=0.03, shape=True, doc="row place of the shadow")
+    width: float = parameter(
+        0.05, unit="half diagonal", low=1e-3, high=0.5, tau=0.03, shape=True, doc="standard deviation w of the shadow"
+    )
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale by the shadow at each pixel."""

@@ -166,11 +166,17 @@ def doubts_for(unknowns: Sequence[Parameter]) -> tuple[Doubt, ...]:
     return tuple(Doubt(f) for f in unknowns if f.prior is not None and not f.owner)
 
 
-def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Sequence[float] = ()) -> tuple[Candidate, ...]:
+def candidates_for(
+    model: CameraModel,
+    lights: Sequence[str] = (),
+    gaps_s: Sequence[float] = (),
+    places: Sequence[tuple[float, float]] = (),
+) -> tuple[Candidate, ...]:
     """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains.
 
-    Each form of an effect is a candidate.  Where several ``lights`` are used, so is an effect for each light that it may concern,
-    and what switches at an exposure time is one for each of the ``gaps_s`` between those of the plan.
+    Each form of an effect is a candidate.  Where several ``lights`` are used, so is an effect for each light that it may concern;
+    what switches at an exposure time is one for each of the ``gaps_s`` between those of the plan, and what lies at one place of
+    the field for each of its ``places``.
     """
     contained = {name for effect in model.effects for name in effect.replaces}
     chief_ray = any(effect.states_chief_ray() for effect in model.effects)
@@ -188,7 +194,7 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Seque
             out.append(Candidate(name, standing, tuple(scale.width(standing, p) for p in bounded), True, scale=scale))
             continue
         without_angle = cls.for_unstated_chief_ray if chief_ray else cls.needs_chief_ray
-        if any(f for f in cls.files()) or name in contained or without_angle:
+        if any(f for f in cls.files()) or name in contained or without_angle or (cls.lies_at and not places):
             continue
         effect = scale.form(cls())
         nulls: dict[str, Any] = {p.name: p.null for p in parameters}
@@ -201,7 +207,7 @@ def candidates_for(model: CameraModel, lights: Sequence[str] = (), gaps_s: Seque
             for key, values in cls.forms.items()
             if key in cls.of_full_well
         }
-        out += _forms(absent, {**cls.forms, **in_charge, **one_light, **switched})
+        out += _at_places(absent, places) or _forms(absent, {**cls.forms, **in_charge, **one_light, **switched})
     return tuple(out)
 
 
@@ -215,6 +221,38 @@ def _forms(candidate: Candidate, choices: Mapping[str, Sequence[str | float]]) -
         replace(candidate, name=name, effect=candidate.effect.changed(**chosen), prior_weight=1 / len(every))
         for name, chosen in zip(names, every, strict=True)
     ]
+
+
+def _at_places(candidate: Candidate, places: Sequence[tuple[float, float]]) -> list[Candidate]:
+    """The candidate at each of some places, forms of one class; none where it has no place."""
+    x, y = candidate.effect.lies_at or ("", "")
+    return [
+        replace(
+            candidate,
+            name=f"{candidate.name} ({x} {place[0]:g}, {y} {place[1]:g})",
+            effect=candidate.effect.changed(**{x: place[0], y: place[1]}),
+            prior_weight=1 / len(places),
+        )
+        for place in places
+        if x
+    ]
+
+
+def places_of(plan: Campaign) -> tuple[tuple[float, float], ...]:
+    """Where the windows of a plan's flats lie: x, y of their middles in half diagonals; none where all are in one place.
+
+    Of one place alone every shadow is a lower light.
+    """
+    sensor = plan.sensor
+    if sensor is None:
+        return ()
+    windows = dict.fromkeys(shot.window or (0, 0, sensor.rows, sensor.cols) for shot in plan.shots if shot.role == "flat")
+    half = float(np.hypot(sensor.rows, sensor.cols)) / 2
+    found = dict.fromkeys(
+        (round((col + cols / 2 - sensor.cols / 2) / half, 3), round((row + rows / 2 - sensor.rows / 2) / half, 3))
+        for row, col, rows, cols in windows
+    )
+    return tuple(found) if len(found) > 1 else ()
 
 
 def lights_of(plan: Campaign) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
-from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of
+from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
 from isetval.loop.forms import in_best_form
@@ -133,7 +133,7 @@ def _gate_failed(case: Investigation, gate: Mapping[str, Any]) -> Diagnosis:
 def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Investigation:
     say("fitting the nuisances of the nominal model")
     problem, fitted = prepared.settled(model)
-    wanted = candidates_for(model, lights_of(problem.plan), gaps_of(problem.plan))
+    wanted = candidates_for(model, lights_of(problem.plan), gaps_of(problem.plan), places_of(problem.plan))
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     focus = [f for f in fitted.free if f.focus]

@@ -10,7 +10,7 @@ from isetval.camera.exposing import expose
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.loop.candidates import candidates_for, gaps_of, lights_of
+from isetval.loop.candidates import candidates_for, gaps_of, lights_of, places_of
 
 
 def test_a_spectrum_may_be_wrong_for_one_light(model):
@@ -123,3 +123,25 @@ def test_charges_and_numbers_of_the_catalogue_grow_with_the_camera(model):
     end_e = (model.sensor.white_dn - 64) / 0.01707
     curve = next(c for c in candidates_for(unlimited) if c.name == "nonlinearity").effect
     assert curve.well_e == pytest.approx(end_e)
+
+
+def test_dust_may_lie_in_any_window_of_the_flats(model):
+    """From the middle alone a grain elsewhere was answered with a form of decenter."""
+    sensor = model.sensor
+    middle = (sensor.rows // 2 - 8, sensor.cols // 2 - 8, 16, 16)
+    corner = (0, 0, 16, 16)
+    light = {"tube": Light("tube", Spectrum.flat(0.01))}
+
+    def plan(*windows):
+        shots = tuple(Shot(f"f{i}", "flat", light="tube", exposure=Exposure(0.01), window=w) for i, w in enumerate(windows))
+        return Campaign("p", shots, lights=light, sensor=sensor)
+
+    assert places_of(plan(middle, middle)) == ()
+    places = places_of(plan(middle, corner, middle))
+    half = np.hypot(sensor.rows, sensor.cols) / 2
+    assert places[0] == pytest.approx((0, 0), abs=2e-3)
+    assert places[1] == pytest.approx(((8 - sensor.cols / 2) / half, (8 - sensor.rows / 2) / half), abs=1e-3)
+    found = [c for c in candidates_for(model, places=places) if c.klass == "dust"]
+    assert [(c.effect.x0, c.effect.y0) for c in found] == list(places)
+    assert {c.prior_weight for c in found} == {0.5}
+    assert not [c for c in candidates_for(model) if c.klass == "dust"]
