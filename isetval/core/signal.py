@@ -137,11 +137,12 @@ class Filters:
     """How the colour filters differ from their tables: stated by effects in front of the quantum efficiency, which applies it.
 
     ``leak`` is a quantum efficiency added beyond the infrared-cut filter, in electrons per photon; ``shift_nm`` moves the
-    curves, and broadcasts to (rows, cols) (None: nowhere).
+    curves, and broadcasts to (rows, cols) (None: nowhere); ``apart_nm`` moves those of red, green and blue each by its own.
     """
 
     leak: float = 0.0
     shift_nm: Float | None = None
+    apart_nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +215,14 @@ class Signal:
         """The signal imaged by another pupil."""
         return replace(self, pupil=pupil)
 
-    def filtered(self, *, leak: float = 0.0, shift_nm: Float | None = None) -> Signal:
+    def filtered(
+        self, *, leak: float = 0.0, shift_nm: Float | None = None, apart_nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> Signal:
         """The signal in front of changed colour filters; further changes add up."""
         before = self.filters.shift_nm
         shift = before if shift_nm is None else shift_nm if before is None else before + shift_nm
-        return replace(self, filters=Filters(self.filters.leak + leak, shift))
+        red, green, blue = (a + b for a, b in zip(self.filters.apart_nm, apart_nm, strict=True))
+        return replace(self, filters=Filters(self.filters.leak + leak, shift, (red, green, blue)))
 
     def with_values(self, values: Float, unit: str | None = None) -> Signal:
         """Sampled ``values`` in place of the layers; structures and transfers are spent.

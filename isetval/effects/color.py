@@ -56,6 +56,41 @@ class CfaAngleShift(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
+class QeShift(Effect):
+    """Curves of quantum efficiency that lie at other wavelengths than their table says, each channel by its own.
+
+    Filters of another lot, an infrared-cut filter that closes elsewhere, a monochromator that is some nm off.  In one light it
+    is a gain of each channel, in charts of many colours it is not; lights with lines tell it best.  Stands before
+    quantum_efficiency, which moves its curves (those of a monochrome sensor by ``green_nm``).
+    """
+
+    name = "qe_shift"
+    stage = "pixel"
+    acts_on = "irradiance"
+    gives = "irradiance"
+    order = 32.0
+    absent = "curves measured on the very camera with a checked monochromator"
+    imitated_by = (
+        "channel_gain",
+        "spectral_crosstalk",
+        "spd_mismatch",
+        "cfa_angle_shift",
+    )
+    equation = "QE_c(lambda - d_c)"
+    reference = "Jiang, Liu, Gu & Suesstrunk, WACV 2013, 168 (curves of 28 cameras)"
+    must_not_change = ("dark", "edge")
+
+    red_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=3.0, doc="shift d of the red curve to longer waves")
+    green_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=3.0, doc="shift d of the green curve to longer waves")
+    blue_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=3.0, doc="shift d of the blue curve to longer waves")
+
+    def apply(self, signal: Signal, context: Context) -> Signal:
+        """State the shifts for quantum_efficiency."""
+        apart = (self.red_nm, self.green_nm, self.blue_nm)
+        return signal.filtered(apart_nm=apart) if any(apart) else signal
+
+
+@dataclass(frozen=True, kw_only=True)
 class IrLeak(Effect):
     """Response beyond the infrared-cut filter, equal in all channels: seen under light A only.
 
@@ -152,6 +187,13 @@ class QuantumEfficiency(Effect):
             raise InputError(f"{path}: {len(table)} quantum efficiency columns; a {context.sensor.cfa} sensor needs {wanted}")
         return self.scale * np.array([spectrum.at(wavelength_nm) for spectrum in table])
 
+    def _moved_apart(self, context: Context, wavelength_nm: Float, apart_nm: tuple[float, float, float]) -> Float:
+        """The same, each channel's curve moved by its own part of ``apart_nm`` (red, green, blue; monochrome: green)."""
+        if not any(apart_nm):
+            return self.curves(context, wavelength_nm)
+        own = apart_nm[1:2] if context.sensor.cfa == "MONO" else apart_nm
+        return np.array([self.curves(context, wavelength_nm - d)[c] for c, d in enumerate(own)])
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Electrons (channels, rows, cols)."""
         grid = signal.wavelength_nm
@@ -160,12 +202,12 @@ class QuantumEfficiency(Effect):
         area_m2 = (context.sensor.pixel_um * 1e-6) ** 2
         photons = grid * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S) * area_m2 * context.time_s() * _trapezoid(grid)
         leak = signal.filters.leak * (grid > LEAK_ABOVE_NM)
-        shift = signal.filters.shift_nm
+        shift, apart = signal.filters.shift_nm, signal.filters.apart_nm
         nodes = np.zeros(1) if shift is None else np.unique(np.floor(shift))
         total: Any = 0.0
         for node in np.union1d(nodes, nodes + 1) if shift is not None else nodes:
             weight = 1.0 if shift is None else np.maximum(0.0, 1 - np.abs(shift - node))
-            total = total + weight * signal.mixed((self.curves(context, grid - node) + leak) * photons)
+            total = total + weight * signal.mixed((self._moved_apart(context, grid - node, apart) + leak) * photons)
         return signal.with_values(np.asarray(total) * _known_to(context, len(total)), "electron")
 
 

@@ -11,6 +11,7 @@ from isetval.effects.color import (
     ChannelGain,
     ColorFilterArray,
     IrLeak,
+    QeShift,
     QuantumEfficiency,
     SpectralCrosstalk,
 )
@@ -116,6 +117,34 @@ def test_shifted_filters_are_a_shifted_curve(place, light, quantum):
     mean_qe = 0.1 + 150 * slope
     # curve and interpolation between whole nanometres are linear, so this is exact
     np.testing.assert_allclose(moved / still, [1 - slope * 8 * r2 / mean_qe, 1, 1], rtol=1e-12)
+
+
+def test_each_channels_curve_moves_by_its_own(place, light, quantum):
+    """A linear QE: QE_c(lambda - d_c) lowers a channel by slope x d_c, exactly; shifts of other effects come on top."""
+    grid = np.arange(400.0, 701.0, 10.0)
+    slope = 1e-3
+    effect = quantum("wavelength_nm,R,G,B", [(380, 0.1, 0.1, 0.1), (720, *3 * (0.1 + 340 * slope,))])
+    triangle = np.maximum(0, 1 - np.abs(grid - 550) / 100) / grid
+    corner = place(window=(0, 0, 1, 1))
+    still = effect.apply(light(triangle, grid, (1, 1)), corner).values[:, 0, 0]
+    apart = QeShift(red_nm=4.0, green_nm=-2.0).apply(light(triangle, grid, (1, 1)), corner)
+    moved = effect.apply(apart, corner).values[:, 0, 0]
+    mean_qe = 0.1 + 170 * slope
+    np.testing.assert_allclose(moved / still, [1 - 4 * slope / mean_qe, 1 + 2 * slope / mean_qe, 1], rtol=1e-12)
+    both = effect.apply(CfaAngleShift(delta_nm=8.0).apply(apart, corner), corner).values[:, 0, 0]
+    r2 = (2015.5**2 + 1511.5**2) / 2520.0**2
+    np.testing.assert_allclose((moved - both) / still, slope * 8 * r2 / mean_qe, rtol=1e-9)
+
+
+def test_a_monochrome_sensor_has_one_curve_to_move(place, light, quantum):
+    effect = quantum("wavelength_nm,QE", [(400, 0.1), (700, 0.4)])
+    context = place(sensor=Sensor(40, 40, cfa="MONO"), window=(0, 0, 1, 1))
+    grid = np.array([540.0, 550.0, 560.0])
+    still, moved = (
+        effect.apply(QeShift(red_nm=3.0 * d, green_nm=d).apply(light((0.0, 1.0, 0.0), grid, (1, 1)), context), context).values
+        for d in (0.0, 10.0)
+    )
+    np.testing.assert_allclose(moved / still, 0.24 / 0.25, rtol=1e-12)
 
 
 def test_infrared_leak_is_an_added_efficiency_beyond_700_nm(place, light, quantum):

@@ -262,6 +262,7 @@ EFFECTS = (
     _effect("gloss", {"level": 0.004}, "4 % Fresnel, a tenth of it into the lens", seen=CHARTS, values=_same(level="level")),
     _effect("fluorescence", {"share": 0.05}, "brightened paper", seen=CHARTS),
     _effect("spd_mismatch", {"warmer": 0.02}, "a lamp 100 K off", seen=CHARTS),
+    _effect("filter_lot", {"red": 0.015, "green": -0.01, "blue": 0.02}, "some nm elsewhere", name="qe_shift", seen=CHARTS),
     _effect("ir_leak", {"eps": 0.01}, "an infrared filter that lets 1 % through", seen=CHARTS),
     _effect(
         "inter_pixel_capacitance",

@@ -81,6 +81,13 @@ def cfa_angle_shift(qe: Float, camera: Camera, place: Place, more: None, *, inve
     return np.array([np.interp(nm / np.sqrt(1 - inverse_index2 * sine2), nm, curve) for curve in qe])
 
 
+@at("qe", "filter_lot")
+def filter_lot(qe: Float, camera: Camera, place: Place, more: None, *, red: float, green: float, blue: float) -> Float:
+    """Filters of another lot: each curve is stretched along the wavelength, about 400 nm."""
+    nm = spectra.WAVELENGTH_NM
+    return np.array([np.interp(400 + (nm - 400) / (1 + s), nm, curve) for curve, s in zip(qe, (red, green, blue), strict=True)])
+
+
 @at("qe", "ir_leak")
 def ir_leak(qe: Float, camera: Camera, place: Place, more: None, *, eps: float) -> Float:
     """The infrared filter opens again: a soft edge at 700 nm, the same in all channels."""
