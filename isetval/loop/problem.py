@@ -148,12 +148,11 @@ def make_problem(
         & np.isfinite(base.mean)
         & np.isfinite(anchor)
         & np.isfinite(variance)
-        & (variance > 0)
     )
     full = filling(predictor, origin, anchor, np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), seeds)
     usable &= ~full.partly
-    # what is only rounding is no measurement
-    usable &= variance > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
+    # what is only rounding is no measurement; a plateau without any noise still has a height
+    usable &= variance + full.plateau > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
     keep = np.flatnonzero(usable)
     if keep.size == 0:
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")

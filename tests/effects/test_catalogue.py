@@ -30,6 +30,7 @@ STRENGTHS = {
     "blooming": {"well_e": 2500.0},
     "transient_hits": {"rate_per_mpx_s": 1e4},
     "dust": {"width": 0.2},
+    "wrong_white_tag": {"share": 0.95},
     "rolling_flicker": {"frequency_hz": 95.0},  # the battery exposes 0.1 s, whole periods of 100 Hz
 }
 GUIDE = (

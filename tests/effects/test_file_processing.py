@@ -15,6 +15,7 @@ from isetval.effects.file_processing import (
     LinearizationTable,
     WrongBlackTag,
 )
+from isetval.effects.white_tag import WrongWhiteTag
 
 BLACK2 = Sensor(3024, 4032, black_dn=((64, 65), (66, 67)))
 
@@ -123,3 +124,14 @@ def test_smoothing_before_the_rounding_takes_the_noise_of_a_code_and_on_whole_co
 def test_a_form_of_smoothing_that_does_not_exist_is_refused():
     with pytest.raises(InputError, match="whole codes, before rounding"):
         RawFiltering(weight=0.1, form="fine")
+
+
+def test_codes_end_below_the_stated_white_without_noise(place):
+    """A tenth of 64..1023 is never reached: all beyond stands at floor(64 + .9 x 959) = 927, all below is left alone."""
+    rng = np.random.default_rng(3)
+    noisy = np.rint(950 + 3 * rng.standard_normal((1, 32, 32)))
+    np.testing.assert_array_equal(run(WrongWhiteTag(share=0.1), noisy, place(window=(0, 0, 32, 32))), np.full((32, 32), 927.0))
+    low = noisy - 100
+    np.testing.assert_array_equal(run(WrongWhiteTag(share=0.1), low, place(window=(0, 0, 32, 32))), low[0])
+    expected = run(WrongWhiteTag(share=0.1), noisy, place(window=(0, 0, 32, 32), mode="expected"))
+    np.testing.assert_allclose(expected, 64 + 0.9 * 959)  # an expectation follows its parameter without steps

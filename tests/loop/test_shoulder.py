@@ -11,6 +11,8 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
+from isetval.effects.white_tag import WrongWhiteTag
+from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 from isetval.loop.shoulder import filling
 from isetval.measure.analyses.flat_fields import PLATEAU_SIGMA_DN
@@ -67,6 +69,20 @@ def test_planes_below_and_beyond_are_kept(model, tmp_path, monkeypatch):
             rows = ready.problem.predictor.table.metrics
             kept = {(rows[i].shot, rows[i].channel) for i in ready.problem.keep if rows[i].name == "mean"}
         assert ("field0", "Gr") in kept
+
+
+def test_a_plateau_without_noise_keeps_its_height(model, tmp_path, monkeypatch):
+    """Codes that end at one value scatter by nothing: without a row for it a camera that ends lower would look the same."""
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+    camera = model.with_effect(WrongWhiteTag(share=0.2))
+    plan = plan_of(camera, 0.005 * 1.3 * 6000.0 / brightest_e(camera, plan_of(camera, 0.005)))
+    with prepare(camera, simulate(camera, plan, seed=4)) as ready:
+        rows = ready.problem.predictor.table.metrics
+        height = [i for i in ready.problem.keep if (rows[i].shot, rows[i].channel, rows[i].name) == ("field0", "Gr", "mean")]
+        assert np.diag(ready.problem.base.covariance)[height] == pytest.approx(0)
+        (lower,) = ready.problem.predict([Point(model.with_effect(WrongWhiteTag(share=0.21)))])
+    assert len(height) == 1
+    assert lower[height[0]] - rows[height[0]].value == pytest.approx(-0.01 * 959, abs=1.0)  # a code
 
 
 class Levels:
