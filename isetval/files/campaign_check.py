@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
@@ -15,6 +17,7 @@ from isetval.measure.campaign import analyses
 
 Progress = Callable[[str, int, int], None]
 TILT_DEG = 1.5  # of an edge, beyond what a chart is set up to (some tenths), and far below a tilt of the other sign
+ONE_CODE_SHARE = 0.1  # of pixels at the highest code: with any noise it holds a thousandth; a color that is full a quarter
 DARK_SHARE = 0.001  # of the range: a lit shot below has nothing to measure
 
 
@@ -60,6 +63,7 @@ def _doubts(shot: Shot, capture: Capture) -> list[str]:
         )
     if fact.clipped > WHITE_SHARE:
         out.append(f"{100 * fact.clipped:.1f} % of the pixels stand at white")
+    out += _top_doubts(shot, capture, fact.span_dn)
     if shot.role != "dark" and fact.level_dn < DARK_SHARE * fact.span_dn:
         out.append("it is as dark as a dark")
     if shot.exposure.time_s is None:
@@ -71,6 +75,17 @@ def _doubts(shot: Shot, capture: Capture) -> list[str]:
     if outside:
         out.append(f"{outside} of {len(regions)} regions lie outside the window of {rows} x {cols} pixels")
     return out + _edge_doubts(shot, capture)
+
+
+def _top_doubts(shot: Shot, capture: Capture, span_dn: float) -> list[str]:
+    """That bright pixels stand at one code below the white level: where a model saturates at that level no row is compared."""
+    top, white = int(capture.mosaic.max()), capture.sensor.white_dn
+    at_top = float(np.mean(capture.mosaic == top))
+    if shot.role == "dark" or at_top < ONE_CODE_SHARE or not white - span_dn / 2 < top < white:
+        return []
+    return [
+        f"{100 * at_top:.0f} % of the pixels stand at code {top}, below the file's white level {white:g}: which of them is right?"
+    ]
 
 
 def _edge_doubts(shot: Shot, capture: Capture) -> list[str]:

@@ -10,6 +10,7 @@ from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
+from isetval.effects.white_tag import WrongWhiteTag
 from isetval.files.campaign_check import check_campaign
 
 SHOT = {"exposure": Exposure(0.02), "light": "white", "frames": 1, "window": (1464, 1968, 128, 128)}
@@ -58,3 +59,20 @@ def test_a_channel_that_the_sensor_has_not_is_a_doubt_and_no_end(campaign):
     found = {row.shot: row.doubts for row in check_campaign(replace(campaign, shots=shots))}
     assert "needs one of R, Gr, Gb, B, G" in found["down"][0]
     assert found["across"] == ()
+
+
+@pytest.mark.parametrize(
+    ("light", "share", "start"),
+    [
+        (30.0, 0.03, "100 % of the pixels stand at code 994, below"),
+        (30.0, 0.0, "100.0 % of the pixels stand at white"),
+        (0.5, 0.03, None),
+    ],
+)
+def test_bright_pixels_at_one_code_below_white_are(light, share, start):
+    """Such planes are clipped in a model that ends at the stated white, which so compares nothing: a note is all there is."""
+    model = load_model(data_folder() / "pixel4a" / "camera.toml").with_effect(WrongWhiteTag(share=share))
+    white = Light("white", Spectrum(np.array([390.0, 710.0]), np.array([0.0016, 0.0016])))
+    plan = Campaign("flats", (Shot("flat", "flat", light_level=light, **SHOT),), lights={"white": white}, sensor=model.sensor)
+    (row,) = check_campaign(simulate(model, plan, seed=2))
+    assert [words.startswith(start) for words in row.doubts] == ([True] if start else [])

@@ -205,7 +205,6 @@ EFFECTS = (
         values=_same(pedestal_dn="codes_more"),
         also=("black_level",),
     ),
-    _effect("early_end", {"codes_less": 20.0}, "the converter's own offset", name="wrong_white_tag", also=("full_well",)),
     _effect(
         "black_clip",
         {},

@@ -77,12 +77,6 @@ def raw_filtering(codes: Float, camera: Camera, place: Place, rng: Generator, *,
     return codes
 
 
-@at("file", "early_end")
-def early_end(codes: Float, camera: Camera, place: Place, rng: Generator, *, codes_less: float) -> Float:
-    """The converter ends some codes below the white level that the file states."""
-    return np.minimum(codes, camera.white - round(codes_less))
-
-
 @at("file", "black_clip")
 def black_clip(codes: Float, camera: Camera, place: Place, rng: Generator, *, all_pixels: bool) -> Float:
     """Codes below black are cut off."""
