@@ -59,7 +59,8 @@ class Investigation:
 
     ``standing`` is what is believed; ``known`` are all hypotheses with the weights of the present ``problem``, among them those
     with a member of ``standing`` taken out, about which the sum is linearised (``rough``: not fitted yet); ``table`` is the
-    sum over what the catalogue holds, each subset ``about`` the hypothesis that it was linearised at.
+    sum over what the catalogue holds, each subset ``about`` the hypothesis that it was linearised at; ``promised`` is the same
+    sum as derivatives alone have it.
     """
 
     prepared: Prepared
@@ -73,6 +74,7 @@ class Investigation:
     known: dict[Names, Hypothesis] = field(default_factory=dict)
     linear: dict[Names, Weighed] = field(default_factory=dict)
     about: dict[Names, Names] = field(default_factory=dict)
+    promised: dict[Names, float] = field(default_factory=dict)
     table: Posterior = field(default_factory=lambda: Posterior({NOTHING: 0.0}, {NOTHING: 0}))
     rough: set[Names] = field(default_factory=set)
     told: dict[Names, float] = field(default_factory=dict)
@@ -163,6 +165,7 @@ def weigh_neighbours(case: Investigation) -> None:
             freed[names] = count + sum(terms[i].tau.size for i in subset)
             case.about[names] = reference.names
         case.linear |= {reference.names | {terms[i].name for i in s}: w for s, w in own.items()}
+    case.promised = logs
     case.table = Posterior(logs | {names: case.score(h) for names, h in case.known.items() if names in logs}, freed)
 
 
@@ -299,7 +302,10 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
     told = {h.names: log_probability(h) - stands for h in asked}
     case.told |= told
     # what is linear about a hypothesis is no likelier beyond it in the hold-out than that itself
-    logs = {names: value + told.get(case.about.get(names, names), 0.0) for names, value in case.table.logs.items()}
+    logs, case.promised = (
+        {names: value + told.get(case.about.get(names, names), 0.0) for names, value in table.items()}
+        for table in (case.table.logs, case.promised)
+    )
     known = {names: case.score(h) for names, h in case.known.items() if names in logs}
     case.table = replace(case.table, logs=logs | known)
 

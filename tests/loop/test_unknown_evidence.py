@@ -10,7 +10,7 @@ from test_subset_sum import SURE_SCALES, model, term
 from isetval.loop.posterior import UNKNOWN, Posterior, like
 from isetval.loop.subset_sum import weigh
 from isetval.loop.unknown_evidence import AMPLITUDES, BOTH, HERE, THERE, Patterns, Unknown, left_by, log_mixture
-from isetval.loop.unknown_members import DIFFERS, ODDS_OF_UNKNOWN
+from isetval.loop.unknown_members import DIFFERS, ODDS_OF_UNKNOWN, as_far_as_fitted
 
 ROWS = 60
 RNG = np.random.default_rng(1)
@@ -112,7 +112,7 @@ def investigated(monkeypatch):
         table = Posterior({names: h.score - told * len(names) for names, h in hypotheses.items()}, dict.fromkeys(hypotheses, 1))
         case = SimpleNamespace(
             problem=None, held=None, known=hypotheses, standing=standing, fitted=named, table=table, score=lambda h: h.score,
-            strength=abs(z[0]),
+            strength=abs(z[0]), promised={}, about={}, rough=set(),
         )  # fmt: skip
         return members.with_unknown(case)
 
@@ -172,3 +172,28 @@ def test_an_unknown_alone_is_a_member(investigated):
 def test_what_the_hold_out_said_after_the_sum_was_made_counts(investigated):
     """An effect of 6 sigmas that a second session denies with e^-30: the sum of before it was asked must not be told."""
     assert investigated(quiet(6.0), told=-30.0).table.of("k") < 1e-6
+
+
+def test_what_a_fit_denies_of_a_part_it_denies_of_all_that_holds_it():
+    """A blur beside a glow, 8 ahead by derivatives and 6 behind when fitted and asked: sets of three with it stood at .99."""
+    sets = {
+        names: frozenset(names.split("+"))
+        for names in ("glow", "glow+blur", "glow+blur+rts", "glow+rts", "blur+rts", "glow+drift")
+    }
+    promised = dict(zip(sets.values(), (0.0, 8.0, 7.0, -4.0, -50.0, -3.0), strict=True))
+    fitted = {sets["glow"]: 0.0, sets["glow+blur"]: -6.0, sets["glow+drift"]: 2.0}
+    case = SimpleNamespace(
+        known={names: SimpleNamespace(names=names, score=score) for names, score in fitted.items()},
+        score=lambda h: h.score,
+        promised=promised,
+        about={names: sets["glow"] if "glow" in names else frozenset() for names in promised},
+        rough={sets["glow+drift"]},  # linearised there and not fitted: says nothing new
+        table=Posterior(promised | fitted, dict.fromkeys(promised, 1)),
+    )
+    found = as_far_as_fitted(case)
+    assert found[sets["glow+blur"]] == -6.0
+    assert found[sets["glow+blur+rts"]] == 7.0 - 14.0
+    assert found[sets["glow+rts"]] == -4.0
+    assert found[sets["blur+rts"]] == -50.0
+    assert Posterior(found, dict.fromkeys(found, 1)).of("blur") < 0.01
+    assert case.table.of("blur") > 0.99
