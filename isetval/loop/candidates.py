@@ -225,7 +225,9 @@ def _forms(candidate: Candidate, choices: Mapping[str, Sequence[str | float]]) -
 
 def _at_places(candidate: Candidate, places: Sequence[tuple[float, float]]) -> list[Candidate]:
     """The candidate at each of some places, forms of one class; none where it has no place."""
-    x, y = candidate.effect.lies_at or ("", "")
+    if not candidate.effect.lies_at:
+        return []
+    x, y = candidate.effect.lies_at
     return [
         replace(
             candidate,
@@ -234,7 +236,6 @@ def _at_places(candidate: Candidate, places: Sequence[tuple[float, float]]) -> l
             prior_weight=1 / len(places),
         )
         for place in places
-        if x
     ]
 
 
