@@ -48,7 +48,6 @@ WIDER_ROWS = (
 SAME_WEIGHTS = (
     0.1  # of an effect, by which its error bars move by 10 % at most, which is as well as the least are known (`SCALE_DOF`)
 )
-TINY = 1e-300  # no step of a parameter is shorter
 CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is asked where any two that may stand are closer
 Say = Callable[[str], None]
 
@@ -324,20 +323,21 @@ def rebase(case: Investigation, say: Say) -> None:
         free = with_steps(before.free, standing.members, case.standing.values)
         fitted = fitted_members(problem, standing.members, Point(model, before.point.values), free, pose=before.pose)
         case.standing = hypothesis(problem, standing.members, fitted)
-        if _stand(before, case.fitted, standing.effects):
+        if all(_stands(before, case.fitted, effect) for effect in standing.effects):
             break
     case.prepared.stands_for(named_model(case.prepared.model, case.standing), case.problem, far_values(case.fitted))
     case.known, case.told = {case.standing.names: case.standing}, {}
     case.rough.clear()
 
 
-def _stand(before: Fit, after: Fit, effects: Sequence[Candidate]) -> bool:
-    """Whether effects moved by so little that the weights made for where they were before hold.
+def _stands(before: Fit, after: Fit, effect: Candidate) -> bool:
+    """Whether an effect moved by so little that the weights made for where it was before hold.
 
-    Root mean square over their parameters: of eleven of a free form one is always found a sigma elsewhere.
+    Root mean square over its parameters: of eleven of a free form one is always found a sigma elsewhere.
     """
-    moved = []
-    for key, nominal in [(key, nominal) for m in effects for key, nominal in zip(m.keys, m.nominal, strict=True)]:
+
+    def moved(key: str, nominal: float) -> float:
         (old, old_sigma), (new, new_sigma) = before.value(key), after.value(key)
-        moved.append((new - old) / max(STANDS * max(old_sigma, new_sigma), SAME_WEIGHTS * abs(new - nominal), TINY))
-    return not moved or float(np.mean(np.square(moved))) < 1.0
+        return (new - old) / max(STANDS * max(old_sigma, new_sigma), SAME_WEIGHTS * abs(new - nominal), np.finfo(float).tiny)
+
+    return bool(np.mean([moved(key, nominal) ** 2 for key, nominal in zip(effect.keys, effect.nominal, strict=True)]) < 1)

@@ -15,7 +15,7 @@ from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import CLEAR, ODDS, _better
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
-from isetval.loop.investigation import Investigation, ask_holdout, fitted_jointly, rebase, weigh_neighbours
+from isetval.loop.investigation import Investigation, _stands, ask_holdout, fitted_jointly, rebase, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
@@ -384,3 +384,19 @@ def test_what_rounding_adds_to_derivatives_is_no_knowledge():
     for c in wanted:
         _, sigma = found.fitted.value(c.keys[0])
         assert sigma == pytest.approx(c.tau[0] / np.sqrt(2), rel=0.4)
+
+
+def test_a_base_stands_where_each_effect_does():
+    """Eleven parameters that scatter by half a sigma or one stand; two sigmas of one effect are not lost among those of another."""
+
+    def found(values):
+        return SimpleNamespace(value=lambda key: (values[key], 1.0))
+
+    form = SimpleNamespace(keys=tuple(f"form.free_{i}" for i in range(11)), nominal=np.zeros(11))
+    gain = SimpleNamespace(keys=("gain.d",), nominal=np.zeros(1))
+    before = found(dict.fromkeys((*form.keys, *gain.keys), 1.0))
+    after = found({key: 1.5 for key in form.keys} | {"form.free_3": 2.0, "gain.d": 3.0})
+    assert _stands(before, after, form)
+    assert not _stands(before, after, gain)
+    assert not _stands(before, found({key: 2.0 for key in form.keys}), form)
+    assert _stands(before, before, gain)
