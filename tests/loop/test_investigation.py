@@ -387,7 +387,7 @@ def test_what_rounding_adds_to_derivatives_is_no_knowledge():
 
 
 def test_a_base_stands_where_each_effect_does():
-    """Eleven parameters that scatter by half a sigma or one stand; two sigmas of one effect are not lost among those of another."""
+    """Eleven parameters that scatter by half a sigma or one stand; two sigmas of one effect are not lost among them."""
 
     def found(values):
         return SimpleNamespace(value=lambda key: (values[key], 1.0))
@@ -395,8 +395,8 @@ def test_a_base_stands_where_each_effect_does():
     form = SimpleNamespace(keys=tuple(f"form.free_{i}" for i in range(11)), nominal=np.zeros(11))
     gain = SimpleNamespace(keys=("gain.d",), nominal=np.zeros(1))
     before = found(dict.fromkeys((*form.keys, *gain.keys), 1.0))
-    after = found({key: 1.5 for key in form.keys} | {"form.free_3": 2.0, "gain.d": 3.0})
+    after = found(dict.fromkeys(form.keys, 1.5) | {"form.free_3": 2.0, "gain.d": 3.0})
     assert _stands(before, after, form)
     assert not _stands(before, after, gain)
-    assert not _stands(before, found({key: 2.0 for key in form.keys}), form)
+    assert not _stands(before, found(dict.fromkeys(form.keys, 2.0)), form)
     assert _stands(before, before, gain)
