@@ -15,9 +15,10 @@ from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, Metric
 from isetval.core.shown import Drawn
+from isetval.loop.block_factor import factor
 from isetval.loop.error_budget import BudgetRow, error_budget
 from isetval.loop.fit import Fit
-from isetval.loop.gaussian import degrees_spent, expected_mean_square, whitener
+from isetval.loop.gaussian import degrees_spent, expected_mean_square
 from isetval.loop.given_side import given_rows
 from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate
 from isetval.loop.problem import Problem
@@ -72,7 +73,7 @@ def ladder_rows(prepared: Prepared, models: Sequence[CameraModel]) -> list[Ladde
     sessions = np.array([m.measurement_session for m in prepared.table.metrics])
     for model in models:
         problem, fit = prepared.settled(model)
-        raw = _raw(problem, fit.jacobian)
+        raw = problem.raw(fit.jacobian)
         metrics = [problem.predictor.table.metrics[i] for i in problem.keep]
         families = np.array([m.family for m in metrics])
         inside = fitted_to(models, prepared.campaign.name, metrics)
@@ -97,9 +98,9 @@ def _mean_square(problem: Problem, fit: Fit, raw: Float, mask: Mask) -> tuple[fl
     rows = problem.keep[mask]
     covariance = problem.covariance[np.ix_(rows, rows)]
     true = _true_mean_square(problem, rows, covariance)
-    whiten = problem.whiten if mask.all() else whitener(covariance)
-    total = float(np.sum((whiten @ fit.residual[rows]) ** 2))
-    return total / max(n - degrees_spent(whiten @ raw[mask], fit.jacobian, fit.free), 1.0) / true, n
+    root = problem.factor if mask.all() else factor(covariance)
+    total = float(np.sum(root.white(fit.residual[rows]) ** 2))
+    return total / max(n - degrees_spent(root.white(raw[mask]), fit.jacobian, fit.free), 1.0) / true, n
 
 
 def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Float) -> float:
@@ -115,13 +116,6 @@ def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Floa
     unseen = unseen[:, np.any(unseen, axis=0)]
     expected = expected_mean_square(problem.base.values[:, rows[own]], covariance[np.ix_(own, own)], unseen)
     return float(np.average([expected, 1.0], weights=[own.sum(), (~own).sum()]))
-
-
-def _raw(problem: Problem, whitened: Float) -> Float:
-    """Columns (kept rows, k) before they were whitened."""
-    from scipy.linalg import solve_triangular
-
-    return np.asarray(solve_triangular(problem.whiten, whitened, lower=True)) if whitened.size else whitened
 
 
 def _relative_error(problem: Problem, fit: Fit, mask: Mask) -> float:

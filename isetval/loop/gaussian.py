@@ -1,8 +1,4 @@
-"""One kit for normal errors: whitening with a covariance, priors as rows, what profiling leaves, how far replicas scatter.
-
-Correlations carry `JITTER` on their diagonal: covariances of smooth curves are singular to rounding, and a
-Cholesky factor needs a smallest eigenvalue well above that of 1e-16 times the number of rows.
-"""
+"""One kit for normal errors: squares of residuals, priors as rows, what profiling leaves, how far replicas scatter."""
 
 from __future__ import annotations
 
@@ -13,9 +9,9 @@ from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
+from isetval.loop.block_factor import factor
 
 Float = NDArray[np.float64]
-JITTER = 1e-9
 FLOOR = 0.15
 """Eigenvalues of a correlation matrix below which directions do not count: there the covariance holds more than the
 estimator's own noise on purpose (`isetval.measure.analyses.edges.ROUGHNESS` is .1), and scatters that are smaller would
@@ -26,25 +22,9 @@ relative error of a ratio from n numbers is 1/sqrt(2 n), 11 % for 40 and 7 % for
 covariances are off where nothing is wrong."""
 
 
-def cholesky(covariance: Float) -> tuple[Float, Float]:
-    """Lower factor (n, n) of the correlation matrix, and the standard deviations (n,)."""
-    scale = np.sqrt(np.diag(covariance))
-    return np.linalg.cholesky(covariance / np.outer(scale, scale) + JITTER * np.eye(scale.size)), scale
-
-
-def whitener(covariance: Float) -> Float:
-    """L^-1 (n, n): residuals times it are independent with standard deviation 1."""
-    from scipy.linalg.lapack import dtrtri  # a third of the work of solving for the columns of 1
-
-    lower, scale = cholesky(covariance)
-    inverse, _ = dtrtri(lower, lower=1)
-    return np.asarray(np.tril(inverse) / scale)
-
-
 def log_volume(covariance: Float) -> float:
-    """Ln det of a covariance (n, n), with the diagonal that `whitener` gives it."""
-    lower, scale = cholesky(covariance)
-    return float(2 * np.sum(np.log(np.diag(lower))) + 2 * np.sum(np.log(scale)))
+    """Ln det of a covariance (n, n), with the diagonal that its factor has."""
+    return factor(covariance).log_volume
 
 
 def square(residual: Float, covariance: Float) -> float:
@@ -54,11 +34,7 @@ def square(residual: Float, covariance: Float) -> float:
 
 def squares(residuals: Float, covariance: Float) -> Float:
     """R' C^-1 r, (k,), of residuals (n, k)."""
-    from scipy.linalg import solve_triangular
-
-    lower, scale = cholesky(covariance)
-    z = solve_triangular(lower, residuals / scale[:, None], lower=True)
-    return np.asarray(np.sum(z**2, axis=0))
+    return np.asarray(np.sum(factor(covariance).white(residuals) ** 2, axis=0))
 
 
 def expected_mean_square(values: Float, covariance: Float, unseen: Float | None = None) -> float:

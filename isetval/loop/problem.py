@@ -13,8 +13,8 @@ from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
 from isetval.core.scene import ChartTarget
+from isetval.loop.block_factor import UNWEIGHED, Factor, factor, gram
 from isetval.loop.family_scales import Families
-from isetval.loop.gaussian import whitener
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 from isetval.loop.shot_task import Sampled
 from isetval.loop.shoulder import Filling, filling
@@ -59,7 +59,7 @@ class Problem:
     base: Base
     measured: Float
     keep: NDArray[np.intp]
-    whiten: Float
+    factor: Factor
     anchor: Float
     covariance: Float
     seeds: tuple[int, ...] = DERIVATIVE_SEEDS
@@ -101,10 +101,10 @@ class Problem:
 
     def whitened(self, vector: Float) -> Float:
         """L^-1 of the kept rows of ``vector``, (metrics,) or (metrics, k)."""
-        return np.asarray(self.whiten @ vector[self.keep])
+        return self.factor.white(vector[self.keep])
 
     def whitened_each(self, columns: Sequence[Float]) -> list[Float]:
-        """`whitened` of several (metrics, k), in one pass over L^-1: of thousands of rows it is larger than what it meets."""
+        """`whitened` of several (metrics, k), in one pass."""
         if not columns:
             return []
         ends = np.cumsum([part.shape[1] for part in columns])[:-1]
@@ -112,9 +112,7 @@ class Problem:
 
     def raw(self, white: Float) -> Float:
         """L times a whitened vector (kept rows,): the kept rows that `whitened` makes it from."""
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self.whiten, white, lower=True))
+        return self.factor.raw(white)
 
 
 def make_problem(
@@ -157,9 +155,8 @@ def make_problem(
     if keep.size == 0:
         raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
     problem = Problem(
-        predictor, origin, base, measured, keep, np.eye(keep.size), anchor, base.covariance, seeds, replicas=made | held,
-        filling=full,
-    )  # fmt: skip
+        predictor, origin, base, measured, keep, UNWEIGHED, anchor, base.covariance, seeds, replicas=made | held, filling=full
+    )
     weigh(problem)
     return problem
 
@@ -200,16 +197,16 @@ def weigh(problem: Problem) -> None:
     keep = problem.keep
     covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
     flicker, colors = _marginal_columns(problem)
-    covariance = covariance + flicker @ flicker.T + colors @ colors.T
+    covariance += gram(flicker) + gram(colors)
     problem.color_variance = np.sum(colors**2, axis=1)
     problem.noise_bias = _bias_of_noise(problem)
     rounding = _rounding(problem, np.diag(covariance)) + (problem.filling.plateau if problem.filling else 0.0)
     problem.unseen = np.column_stack([flicker, colors, _each_alone(rounding + problem.base.render)])
-    covariance = covariance + np.diag(rounding + problem.noise_bias)
+    covariance[np.diag_indices_from(covariance)] += rounding + problem.noise_bias
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
-    covariance = covariance * np.outer(rare, rare)
+    covariance *= rare[:, None] * rare
     problem.covariance = covariance
-    problem.whiten = whitener(covariance[np.ix_(keep, keep)])
+    problem.factor = factor(covariance[np.ix_(keep, keep)])
 
 
 def _of_rare_counts(problem: Problem, sigma: Float) -> Float:

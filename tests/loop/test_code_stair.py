@@ -10,6 +10,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
+from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.evidence import hypothesis
 from isetval.loop.fit import fit
@@ -48,8 +49,8 @@ def fitted_to(gain, seed):
     model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
     measured = codes(gain) + SIGMA_DN * np.random.default_rng(seed).standard_normal(LEVELS.size)
     base = Base(LEVELS, SIGMA_DN**2 * np.eye(LEVELS.size), np.zeros((16, LEVELS.size)), np.ones(LEVELS.size))
-    keep, whiten = np.arange(LEVELS.size), np.eye(LEVELS.size) / SIGMA_DN
-    problem = Problem(Codes(), Point(model), base, measured, keep, whiten, base.mean, base.covariance)
+    keep, root = np.arange(LEVELS.size), factor(SIGMA_DN**2 * np.eye(LEVELS.size))
+    problem = Problem(Codes(), Point(model), base, measured, keep, root, base.mean, base.covariance)
     wanted = [c for c in candidates_for(model) if c.name == "digital_gain"]
     (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((LEVELS.size, 0)))
     fitted = fit(problem, problem.origin, ())

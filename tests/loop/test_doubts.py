@@ -9,6 +9,7 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
+from isetval.loop.block_factor import factor
 from isetval.loop.candidates import WIDER, candidates_for, doubts_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import _better
@@ -49,7 +50,7 @@ def case_with(tilt):
         base,
         SLOPE * tilt + noise,
         np.arange(ROWS),
-        np.eye(ROWS),
+        factor(np.eye(ROWS)),
         np.zeros(ROWS),
         np.eye(ROWS),
     )

@@ -10,6 +10,7 @@ import pytest
 from isetval.camera.model_file import load_model
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
+from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import difference_of_both, jacobian
 from isetval.loop.family_scales import SCALE_DOF
 from isetval.loop.fit import far_values, fit, moved_far
@@ -52,8 +53,8 @@ def problem(focus, shift):
     rows = 2 * STOPS_UM.size + 1
     base = Base(camera.at(0.0, 0.0), SIGMA**2 * np.eye(rows), np.zeros((16, rows)), np.ones(rows))
     measured = camera.at(focus, shift)
-    whiten = np.eye(rows) / SIGMA
-    return Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(rows), whiten, base.mean, base.covariance)
+    root = factor(SIGMA**2 * np.eye(rows))
+    return Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(rows), root, base.mean, base.covariance)
 
 
 FREE = (
@@ -151,8 +152,8 @@ def test_factors_known_to_a_factor_of_two_settle(efficiency):
     measured = camera.at([0.02, efficiency, *errors])
     sigma = 1e-4 * measured
     base = Base(camera.at(np.zeros(7)), np.diag(sigma**2), np.zeros((16, 5)), np.ones(5))
-    whiten = np.diag(1 / sigma)
-    case = Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(5), whiten, base.mean, base.covariance)
+    root = factor(np.diag(sigma**2))
+    case = Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(5), root, base.mean, base.covariance)
     widths = (0.02, 1.0, *(0.05,) * 5)
     free = tuple(
         Parameter(name, scope="campaign", unit="relative", prior=width, step=max(width, 0.05), low=-1.0, factor=True)
@@ -263,9 +264,9 @@ def ringed(focus, shift):
     camera = RingedCamera()
     rows = 2 * STOPS_UM.size + 1
     base = Base(camera.at(0.0, 0.0), SIGMA**2 * np.eye(rows), np.zeros((16, rows)), np.ones(rows))
-    whiten = np.eye(rows) / SIGMA
+    root = factor(SIGMA**2 * np.eye(rows))
     model = load_model(Path(__file__).parents[2] / "data" / "pixel4a")
-    made = Problem(camera, Point(model), base, camera.at(focus, shift), np.arange(rows), whiten, base.mean, base.covariance)
+    made = Problem(camera, Point(model), base, camera.at(focus, shift), np.arange(rows), root, base.mean, base.covariance)
     return Prepared(model, SimpleNamespace(sensor=model.sensor), SimpleNamespace(), made)
 
 
@@ -320,8 +321,8 @@ def test_a_blur_that_the_model_lacks_turns_no_edge(blur):
     """Of contrasts 300 sigmas off a fit by their error bars made 32 prior sigmas of turn, and of the light's level 2."""
     camera, n = TurnedEdge(), FREQUENCIES.size + 4
     base = Base(camera.at(0.0, 0.0), SIGMA**2 * np.eye(n), np.zeros((16, n)), np.ones(n))
-    measured, whiten = camera.at(0.05, 0.03, blur), np.eye(n) / SIGMA
-    case = Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(n), whiten, base.mean, base.covariance)
+    measured, root = camera.at(0.05, 0.03, blur), factor(SIGMA**2 * np.eye(n))
+    case = Problem(camera, Point(SimpleNamespace()), base, measured, np.arange(n), root, base.mean, base.covariance)
     found = fit(case, Point(SimpleNamespace()), TURNED)
     assert found.converged
     # two prior sigmas cost 4; where nothing is left over, contrasts tell the angle to SIGMA over their slope of .15 a degree
@@ -349,8 +350,8 @@ def test_a_level_on_a_plateau_does_not_hold_the_light_where_it_was_stated(light)
     nominal = camera.at([0.0])
     sigma = np.where(nominal > 3500, 0.2, 6e-4 * nominal)  # flicker of the light moves no level that stands on the plateau
     base = Base(nominal, np.diag(sigma**2), np.zeros((16, 6)), np.ones(6))
-    whiten = np.diag(1 / sigma)
-    case = Problem(camera, Point(SimpleNamespace()), base, camera.at([light]), np.arange(6), whiten, nominal, base.covariance)
+    root = factor(np.diag(sigma**2))
+    case = Problem(camera, Point(SimpleNamespace()), base, camera.at([light]), np.arange(6), root, nominal, base.covariance)
     found = fit(case, Point(SimpleNamespace()), free)
     assert found.converged
     assert found.value("light_level@campaign:")[0] == pytest.approx(light, abs=2e-4)

@@ -10,6 +10,7 @@ import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
+from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import CLEAR, ODDS, _better
@@ -58,7 +59,14 @@ def case_of(measured, apart=False):
     plan = Campaign("plan", ())
     base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
     problem = Problem(
-        LinearCamera(plan, model), Point(model), base, measured, np.arange(ROWS), np.eye(ROWS), np.zeros(ROWS), np.eye(ROWS)
+        LinearCamera(plan, model),
+        Point(model),
+        base,
+        measured,
+        np.arange(ROWS),
+        factor(np.eye(ROWS)),
+        np.zeros(ROWS),
+        np.eye(ROWS),
     )
     if apart:  # the last row is a family of its own
         problem.predictor.table.metrics[-1] = Metric("other", 0.0, 1.0, "DN", shot="other", family="other")
@@ -292,8 +300,7 @@ class NoisyCamera(LinearCamera):
         base = np.full(ROWS, self.variance(model))
         covariance = np.diag((self.RELATIVE * base) ** 2)
         made = Base(base, covariance, np.zeros((16, ROWS)), np.ones(ROWS))
-        white = np.diag(1 / (self.RELATIVE * base))
-        return Problem(self, Point(model), made, measured, np.arange(ROWS), white, base, covariance)
+        return Problem(self, Point(model), made, measured, np.arange(ROWS), factor(covariance), base, covariance)
 
 
 NOISE = "temporal_row_noise.sigma_dn"
@@ -376,7 +383,7 @@ def test_what_rounding_adds_to_derivatives_is_no_knowledge():
     camera = RoundedCamera(Campaign("plan", ()), model, tau)
     base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
     measured = 0.3 * camera.SLOPE
-    problem = Problem(camera, Point(model), base, measured, np.arange(ROWS), np.eye(ROWS), np.zeros(ROWS), np.eye(ROWS))
+    problem = Problem(camera, Point(model), base, measured, np.arange(ROWS), factor(np.eye(ROWS)), np.zeros(ROWS), np.eye(ROWS))
     nothing = hypothesis(problem, (), fit(problem, Point(model), ()))
     start = {c.keys[0]: float(c.nominal[0] + 0.1 * c.tau[0]) for c in wanted}
     steps = {key: h for c in wanted for key, h in first_steps(c, start).items()}

@@ -9,6 +9,7 @@ import isetval
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
+from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.evidence import hypothesis
 from isetval.loop.fit import fit
@@ -46,9 +47,9 @@ def made():
     rng = np.random.default_rng(9)
     measured = np.minimum(LEVELS_E, WELL_E) + SIGMA_E * rng.standard_normal(rows)
     base = Base(LEVELS_E, SIGMA_E**2 * np.eye(rows), np.zeros((16, rows)), np.ones(rows))
-    whiten = np.eye(rows) / SIGMA_E
+    root = factor(SIGMA_E**2 * np.eye(rows))
     camera = PlateauCamera(Campaign("plan", ()))
-    problem = Problem(camera, Point(model), base, measured, np.arange(rows), whiten, LEVELS_E, base.covariance)
+    problem = Problem(camera, Point(model), base, measured, np.arange(rows), root, LEVELS_E, base.covariance)
     wanted = [c for c in candidates_for(model) if c.name == "full_well"]
     (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((rows, 0)))
     return problem, signature
@@ -98,7 +99,7 @@ def test_a_well_that_is_stated_far_too_deep_is_found_beyond_its_prior(monkeypatc
     base = Base(levels, SIGMA_E**2 * np.eye(rows), np.zeros((16, rows)), np.ones(rows))
     camera = PlateauCamera(Campaign("plan", ()))
     problem = Problem(
-        camera, Point(model), base, measured, np.arange(rows), np.eye(rows) / SIGMA_E, levels, base.covariance
+        camera, Point(model), base, measured, np.arange(rows), factor(base.covariance), levels, base.covariance
     )  # fmt: skip
     wanted = [c for c in candidates_for(model) if c.name == "full_well"]
     (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((rows, 0)))

@@ -10,6 +10,7 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
+from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.prediction import Base, Point
@@ -63,7 +64,7 @@ def campaign(tilt, apart, noise):
         base,
         measured,
         np.arange(6),
-        np.eye(6) / SIGMA,
+        factor(SIGMA**2 * np.eye(6)),
         camera.means({}),
         SIGMA**2 * (1 + 1 / REPLICAS) * np.eye(6),
     )

@@ -12,6 +12,7 @@ from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
+from isetval.loop.block_factor import factor
 from isetval.loop.candidates import Candidate, candidates_for
 from isetval.loop.evidence import first_values, hypothesis
 from isetval.loop.fit import fit
@@ -46,8 +47,8 @@ def case_with(sigma_dn, seed=0):
     model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
     base = Base(np.full(ROWS, FLOOR_DN2), SIGMA_DN2**2 * np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
     measured = FLOOR_DN2 + sigma_dn**2 + SIGMA_DN2 * np.random.default_rng(seed).standard_normal(ROWS)
-    whiten = np.eye(ROWS) / SIGMA_DN2
-    problem = Problem(NoisyRows(), Point(model), base, measured, np.arange(ROWS), whiten, base.mean, base.covariance)
+    root = factor(SIGMA_DN2**2 * np.eye(ROWS))
+    problem = Problem(NoisyRows(), Point(model), base, measured, np.arange(ROWS), root, base.mean, base.covariance)
     wanted = [c for c in candidates_for(model) if c.name == "temporal_row_noise"]
     (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((ROWS, 0)))
     fitted = fit(problem, problem.origin, ())

@@ -9,6 +9,7 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
+from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.evidence import hypothesis, refit
@@ -44,7 +45,7 @@ def case():
     base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
     measured = HIDDEN * SLOPE
     problem = Problem(
-        DarkCamera(plan, model), Point(model), base, measured, np.arange(ROWS), np.eye(ROWS), np.zeros(ROWS), np.eye(ROWS)
+        DarkCamera(plan, model), Point(model), base, measured, np.arange(ROWS), factor(np.eye(ROWS)), np.zeros(ROWS), np.eye(ROWS)
     )
     fitted = fit(problem, Point(model), nuisance_parameters(plan, model))
     candidate = next(c for c in candidates_for(model) if c.name == "dark_current")
