@@ -90,6 +90,7 @@ def linear_model(problem: Problem, fitted: Fit, terms: Sequence[Term] = ()) -> L
         side=np.array([0.0 if f.is_nuisance else float(f.center <= f.low) - float(f.center >= f.high) for f in free]),
         families=np.array([problem.predictor.table.metrics[i].family for i in problem.keep]),
         terms=tuple(terms),
+        numbers=problem.numbers,
     )
 
 

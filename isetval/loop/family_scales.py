@@ -7,7 +7,7 @@ ln L, 50 by 277.  Other families have not been measured, and edges bend; flat_fr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,8 +42,10 @@ def dof_of(families: Sequence[str]) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class Families:
-    """Which family each whitened row belongs to, ``place`` (rows,), how many rows each has, ``counts`` (families,).
+    """Which family each whitened row belongs to, ``place`` (rows,), how many numbers its rows hold, ``counts`` (families,).
 
+    Their squares sum to ``counts`` where a model is true: error bars hold more than rows scatter by where ten contrasts of an
+    edge move in five directions.  Counted as ten they would look too wide, and what five numbers say would count double.
     ``dof`` (families,) says how well its error bars are known; infinite, they are as they are stated.
     """
 
@@ -52,10 +54,11 @@ class Families:
     dof: Float
 
     @classmethod
-    def of(cls, names: Sequence[str]) -> Families:
-        """The families of rows by their names."""
-        found, place, counts = np.unique(np.array(names, dtype=str), return_inverse=True, return_counts=True)
-        return cls(place, counts.astype(float), dof_of(found.tolist()))
+    def of(cls, names: Sequence[str], numbers: Mapping[str, float]) -> Families:
+        """The families of rows by their names; of those without ``numbers`` each row holds one."""
+        found, place, rows = np.unique(np.array(names, dtype=str), return_inverse=True, return_counts=True)
+        counts = np.array([numbers.get(name, float(n)) for name, n in zip(found.tolist(), rows, strict=True)])
+        return cls(place, counts, dof_of(found.tolist()))
 
     def as_stated(self) -> Families:
         """The same with error bars as they are stated."""

@@ -15,6 +15,8 @@ from isetval.core.metric import MetricTable
 from isetval.core.scene import ChartTarget
 from isetval.loop.block_factor import UNWEIGHED, Factor, factor, gram
 from isetval.loop.family_scales import Families
+from isetval.loop.gaussian import TOWARDS_ONE
+from isetval.loop.given_side import given_rows
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
 from isetval.loop.shot_task import Sampled
 from isetval.loop.shoulder import Filling, filling
@@ -49,7 +51,8 @@ class Problem:
 
     ``noise_bias`` and ``color_variance`` are parts of the covariance's diagonal, (metrics,): what is the prediction's and not the
     captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
-    scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.
+    scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.  ``numbers`` are what squares of a
+    true model's whitened rows sum to, by family.
     ``steps`` are shortened finite steps of nuisances, by label; ``filling`` says which levels are full
     (`isetval.loop.shoulder`).
     """
@@ -70,6 +73,7 @@ class Problem:
     color_variance: Float | float = 0.0
     unseen: Float = field(default_factory=lambda: np.zeros((0, 0)))
     filling: Filling | None = None
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def nominal(self) -> CameraModel:
@@ -84,7 +88,7 @@ class Problem:
     @property
     def families(self) -> Families:
         """Families of the kept rows, as the whitening leaves them: it is triangular."""
-        return Families.of([self.predictor.table.metrics[i].family for i in self.keep])
+        return Families.of([self.predictor.table.metrics[i].family for i in self.keep], self.numbers)
 
     def predict(self, points: Sequence[Point]) -> list[Float]:
         """Predictions (metrics,): the base plus differences with common random numbers."""
@@ -207,6 +211,31 @@ def weigh(problem: Problem) -> None:
     covariance *= rare[:, None] * rare
     problem.covariance = covariance
     problem.factor = factor(covariance[np.ix_(keep, keep)])
+    problem.numbers = _numbers(problem)
+
+
+def _numbers(problem: Problem) -> dict[str, float]:
+    """What squares of a true model's whitened rows sum to, by family: as replicas and what they do not have scatter.
+
+    At most the number of rows.  A mean square is drawn towards 1 by `TOWARDS_ONE` numbers, as the ladder's is; rows given with
+    error bars and counts of rare things, of which replicas show nothing, hold one number each.
+    """
+    table, keep, replicas = problem.predictor.table, problem.keep, problem.base.replicas
+    if replicas < 2:
+        return {}
+    scatter = np.sqrt((1 + 1 / replicas) / (replicas - 1)) * (problem.base.values - problem.base.mean).T[keep]
+    unseen = problem.unseen[keep]
+    shown = np.sum(problem.factor.white(np.hstack([scatter, unseen[:, np.any(unseen, axis=0)]])) ** 2, axis=1)
+    sure = (given_rows(table) | np.array([m.count for m in table.metrics], bool))[keep]
+    shown = np.where(sure, 1.0, shown)
+    names = np.array([table.metrics[i].family for i in keep])
+    out = {}
+    for name in np.unique(names):
+        rows = int(np.sum(names == name))
+        numbers = rows * (replicas - 1)
+        mean_square = (float(np.sum(shown[names == name])) * (replicas - 1) + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
+        out[str(name)] = rows * min(mean_square, 1.0)
+    return out
 
 
 def _of_rare_counts(problem: Problem, sigma: Float) -> Float:

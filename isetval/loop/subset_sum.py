@@ -8,7 +8,7 @@ in closed form, lambda by Laplace, which is exact for the Student t that it give
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -51,7 +51,8 @@ class LinearModel:
 
     Those columns are per prior sigma, or per any unit where there is none (``held`` (p,) False); ``pulls`` (p,) is where
     they stand, prior sigmas off; ``side`` (p,) says which can only grow or fall.  ``scale_dof`` (families,) says how well their
-    error bars are known, where not `dof_of` does.
+    error bars are known, where not `dof_of` does; ``numbers`` how many numbers their rows hold, where not one each
+    (`isetval.loop.family_scales.Families`).
     """
 
     z: Float
@@ -62,6 +63,7 @@ class LinearModel:
     families: NDArray[np.str_]
     terms: tuple[Term, ...]
     scale_dof: Float | None = None
+    numbers: Mapping[str, float] = field(default_factory=dict)
     grams: Float = field(init=False)
     counts: Float = field(init=False)
     prior: Float = field(init=False)
@@ -81,7 +83,8 @@ class LinearModel:
         prior[:p, -1] = prior[-1, :p] = -self.pulls
         prior[-1, -1] = float(self.pulls @ self.pulls)
         object.__setattr__(self, "grams", np.array([part.T @ part for part in parts]))
-        object.__setattr__(self, "counts", np.array([float(len(part)) for part in parts]))
+        counts = [self.numbers.get(name, float(len(part))) for name, part in zip(names, parts, strict=True)]
+        object.__setattr__(self, "counts", np.array(counts))
         object.__setattr__(self, "prior", prior)
         object.__setattr__(self, "dof", dof_of(names) if self.scale_dof is None else self.scale_dof)
         object.__setattr__(self, "places", tuple(np.arange(a, b) for a, b in pairwise(ends)))

@@ -67,7 +67,7 @@ def left_by(model: LinearModel, scales: Float, patterns: Patterns) -> dict[str, 
             if s > SEEN * w:
                 out[patterns.words[j]] = Left(float(a), float(s), 1.0, lift)
         rows = place == i
-        number = rows.sum() - float(np.einsum("ij,jk,ik->", x[rows], weighed.covariance, x[rows]))
+        number = model.counts[i] - float(np.einsum("ij,jk,ik->", x[rows], weighed.covariance, x[rows]))
         if number > 1:
             out[f"{name} {SCATTERS}"] = Left(float(residual[rows] @ residual[rows]), 0.0, number, lift)
     return out
