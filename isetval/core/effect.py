@@ -133,7 +133,7 @@ class Effect:
     ``for_unstated_chief_ray`` that it is the form for models in which none does (no candidate beside one that does);
     ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter
     that is the exposure time beyond which it acts: each gap between the exposures of a plan is a form; ``lies_at`` names the
-    two that are its place in the field: each window of a plan's flats is a form. ``forms`` are the
+    two that are its place in the field and the one that is its width: each window of a plan's flats is a form. ``forms`` are the
     shapes that it may have, by field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with
     a ``tau`` once the effect is named; ``of_full_well`` names charges that are stated for a full well of 6,000 e-, and are as
     much larger in a camera as its own is; ``free`` is the axis along which its form may be any smooth one. With every
@@ -219,7 +219,7 @@ class Effect:
     @classmethod
     def chosen(cls) -> tuple[str, ...]:
         """Names of the fields that a diagnosis chooses and does not fit."""
-        return (*cls.forms, *["light"] * cls.per_light, *[cls.switches_at] * bool(cls.switches_at), *cls.lies_at)
+        return (*cls.forms, *["light"] * cls.per_light, *[cls.switches_at] * bool(cls.switches_at), *cls.lies_at[:2])
 
     def content(self) -> tuple[Any, ...]:
         """Everything that decides what the effect does: the key of caches."""

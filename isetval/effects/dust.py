@@ -32,7 +32,7 @@ class Dust(Effect):
         "prnu",
         "light_nonuniformity",
     )
-    lies_at = ("x0", "y0")
+    lies_at = ("x0", "y0", "width")
     equation = "E x (1 - d exp(-((x - x0)^2 + (y - y0)^2)/(2 w^2))), in half diagonals"
     reference = "Dirik, Sencar & Memon, IEEE Trans. Inf. Forensics Secur. 3 (2008) 539 (Gaussian intensity loss)"
     must_not_change = ("dark",)

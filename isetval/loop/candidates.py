@@ -170,7 +170,7 @@ def candidates_for(
     model: CameraModel,
     lights: Sequence[str] = (),
     gaps_s: Sequence[float] = (),
-    places: Sequence[tuple[float, float]] = (),
+    places: Sequence[Place] = (),
 ) -> tuple[Candidate, ...]:
     """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains.
 
@@ -223,24 +223,40 @@ def _forms(candidate: Candidate, choices: Mapping[str, Sequence[str | float]]) -
     ]
 
 
-def _at_places(candidate: Candidate, places: Sequence[tuple[float, float]]) -> list[Candidate]:
-    """The candidate at each of some places, forms of one class; none where it has no place."""
+def _at_places(candidate: Candidate, places: Sequence[Place]) -> list[Candidate]:
+    """The candidate at each of some places, forms of one class; none where it has no place.
+
+    It may lie anywhere in the picture: the prior odds of a place are the share of the picture from which it shows there.  As
+    likely in one of five windows as not to be, a shadow at the border stood beside each fall-off whose form differs a little.
+    """
     if not candidate.effect.lies_at:
         return []
-    x, y = candidate.effect.lies_at
+    x, y, wide = candidate.effect.lies_at
+    reach = 2 * candidate.effect.values()[wide]
     return [
         replace(
             candidate,
-            name=f"{candidate.name} ({x} {place[0]:g}, {y} {place[1]:g})",
-            effect=candidate.effect.changed(**{x: place[0], y: place[1]}),
-            prior_weight=1 / len(places),
+            name=f"{candidate.name} ({x} {place.x:g}, {y} {place.y:g})",
+            effect=candidate.effect.changed(**{x: place.x, y: place.y}),
+            prior_weight=min((place.width + reach) * (place.height + reach) / place.picture, 1 / len(places)),
         )
         for place in places
     ]
 
 
-def places_of(plan: Campaign) -> tuple[tuple[float, float], ...]:
-    """Where the windows of a plan's flats lie: x, y of their middles in half diagonals; none where all are in one place.
+@dataclass(frozen=True)
+class Place:
+    """A window of the picture, in half diagonals: its middle, its size; ``picture`` is the picture's area."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+    picture: float
+
+
+def places_of(plan: Campaign) -> tuple[Place, ...]:
+    """Where the windows of a plan's flats lie, one a middle; none where all are in one place.
 
     Of one place alone every shadow is a lower light.
     """
@@ -249,11 +265,12 @@ def places_of(plan: Campaign) -> tuple[tuple[float, float], ...]:
         return ()
     windows = dict.fromkeys(shot.window or (0, 0, sensor.rows, sensor.cols) for shot in plan.shots if shot.role == "flat")
     half = float(np.hypot(sensor.rows, sensor.cols)) / 2
-    found = dict.fromkeys(
-        (round((col + cols / 2 - sensor.cols / 2) / half, 3), round((row + rows / 2 - sensor.rows / 2) / half, 3))
-        for row, col, rows, cols in windows
-    )
-    return tuple(found) if len(found) > 1 else ()
+    picture = sensor.rows * sensor.cols / half**2
+    found: dict[tuple[float, float], Place] = {}
+    for row, col, rows, cols in windows:
+        middle = (round((col + cols / 2 - sensor.cols / 2) / half, 3), round((row + rows / 2 - sensor.rows / 2) / half, 3))
+        found.setdefault(middle, Place(*middle, cols / half, rows / half, picture))
+    return tuple(found.values()) if len(found) > 1 else ()
 
 
 def lights_of(plan: Campaign) -> tuple[str, ...]:

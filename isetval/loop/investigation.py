@@ -279,8 +279,9 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
     The effects stay as they were found, the nuisances of the hold-out are its own.  All are predicted at the nuisances that fit
     with what stands, and led from there to their bottoms by the same derivatives: fits of their own would end at other poses of
     the edges, where other noise is simulated (10 in ln Z between two models that are the same to a thousandth of a sigma).
-    By how much an effect moves the film, focus errors take back first: twice as far out of focus no derivative leads back.  So do
-    levels of the light that derivatives lead further than they hold: a gain 1 % up fills planes that in 1 % less light are not full.
+    By how much an effect moves the film, focus errors take back first: twice as far out of focus no derivative leads back.
+    Levels of the light, too, go where derivatives put them and what stands does not: a gain 1 % up fills planes that in 1 % less
+    light are not full.
     """
     asked = [h for h in others if h.names not in case.told and h is not case.standing]
     if case.held is None or not asked:
@@ -299,19 +300,25 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
             return None, values
         return weigh(linear_model(problem, replace(settled, values=values, prediction=prediction, z=z)), ()), values
 
+    levels = np.array([f.factor and not f.patch for f in settled.free], bool)
+    reach = np.array([f.reach for f in settled.free])
+    standing, _ = predicted(settled.point)
+    if standing is None:  # a fit that stands nowhere compares nothing
+        case.told |= {h.names: 0.0 for h in asked}
+        return
+    bottom, stands = standing.values, standing.log_evidence
+
     def log_probability(found: Hypothesis) -> float:
         point = at_same_focus(problem, Point(named_model(nominal, found), settled.point.values), shifts, focus)
         weighed, values = predicted(point)
         if weighed is None:
             return -np.inf
-        levels = np.array([f.factor and not f.patch for f in settled.free], bool)
-        step = np.where(levels, weighed.values * [f.reach for f in settled.free], 0.0)
+        step = np.where(levels, (weighed.values - bottom) * reach, 0.0)
         if np.any(np.abs(step) > POSED_FACTOR):
             there = at(point, settled.free, list(walked(values, step, settled.free)))
             weighed = predicted(there)[0] or weighed
         return weighed.log_evidence
 
-    stands = log_probability(case.standing)
     told = {h.names: log_probability(h) - stands for h in asked}
     case.told |= told
     # what is linear about a hypothesis is no likelier beyond it in the hold-out than that itself

@@ -94,6 +94,7 @@ def test_a_family_that_scatters_too_much_asks_for_another_form():
         covariance=np.eye(n),
         keep=np.arange(n),
         whitened=lambda vector: vector,
+        numbers={},
     )
 
     def left(scale):

@@ -23,7 +23,7 @@ def whitened(found, rate, seed=0):
     rng = np.random.default_rng(seed)
     values = root(rng.poisson(rate, (REPLICAS, 1)))
     metric = Metric("noisy_pixels", float(root(found)), 1.0, "2 sqrt(count + 3/8)", family="dark_noisy_pixels", count=True)
-    table = SimpleNamespace(metrics=[metric], sigma=np.ones(1))
+    table = SimpleNamespace(metrics=[metric], sigma=np.ones(1), blocks=[SimpleNamespace(metrics=[metric], choices={})])
     predictor = SimpleNamespace(plan=Campaign("plan", ()), table=table, noise_free=np.zeros(1, bool))
     base = Base(values.mean(axis=0), np.eye(1), values, np.ones(1))
     measured = np.array([float(root(found))])
