@@ -17,11 +17,11 @@ from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
 from isetval.loop.forms import in_best_form
+from isetval.loop.hold_out import ask_holdout
 from isetval.loop.investigation import (
     CLEAR,
     ODDS,
     Investigation,
-    ask_holdout,
     rebase,
     weigh_neighbours,
 )

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Candidate, Doubt
-from isetval.loop.derivatives import at
 from isetval.loop.evidence import (
     Hypothesis,
     Member,
@@ -23,8 +22,6 @@ from isetval.loop.evidence import (
     with_steps,
 )
 from isetval.loop.fit import Fit, far_values
-from isetval.loop.fit_state import POSED_FACTOR, walked
-from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.gaussian import log_volume
 from isetval.loop.posterior import NOTHING, Names, Posterior
 from isetval.loop.prediction import DERIVATIVE_SEEDS, NOISE_SEEDS, SPECIMEN_SEEDS, Point
@@ -33,7 +30,7 @@ from isetval.loop.problem import Problem
 from isetval.loop.result import CandidateRow, FormRow
 from isetval.loop.score_test import Frame
 from isetval.loop.signatures import Signature
-from isetval.loop.subset_sum import MAX_EFFECTS, Term, Weighed, weigh, weigh_all
+from isetval.loop.subset_sum import MAX_EFFECTS, Term, Weighed, weigh_all
 
 Float = NDArray[np.float64]
 SLIPS = (
@@ -196,7 +193,7 @@ def _steps(members: Sequence[Member], values: dict[str, float], sigma: Mapping[s
     return {key: h for m in members if isinstance(m, Candidate) for key, h in first_steps(m, values, sigma).items()}
 
 
-def _draws_of(members: Sequence[Member]) -> tuple[int, ...]:
+def draws_of(members: Sequence[Member]) -> tuple[int, ...]:
     """Seeds over which differences are taken where these members are."""
     drawn = [m.effect for m in members if isinstance(m, Candidate) and m.effect.random != "none"]
     if any(effect.counted for effect in drawn):
@@ -224,7 +221,7 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
     promised = weighed.log_evidence if weighed is not None and drawn else None
     best = max(h.log_evidence + case.log_prior(h.members) for h in case.known.values())
     beaten = best - CLEAR - case.log_prior(members) if promised is None else -np.inf
-    problem = case.problem if drawn else case.problem.with_draws(_draws_of(members))
+    problem = case.problem if drawn else case.problem.with_draws(draws_of(members))
     found = refit(problem, case.prepared.model, reference, members, values, steps, promised, beaten=beaten)
     if (
         any(m.goes_as_square for m in found.effects if m.name not in case.standing.names)
@@ -242,7 +239,7 @@ def _at_its_own_weights(case: Investigation, found: Hypothesis) -> Hypothesis:
     the scales of those families answer for it in place of its name.  ln det C is what wider rows cost.
     """
     model = named_model(case.prepared.model, found)
-    problem = case.prepared.problem_for(model, seeds=_draws_of(found.members), values=far_values(found.fitted))
+    problem = case.prepared.problem_for(model, seeds=draws_of(found.members), values=far_values(found.fitted))
     problem.columns.update(case.problem.columns)
     free = with_steps(found.fitted.free, found.members, found.values)
     fitted = fitted_members(problem, found.members, Point(model, found.fitted.point.values), free, pose=found.fitted.pose)
@@ -273,67 +270,10 @@ def _added_values(
     return values, sigmas
 
 
-def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
-    """What the hold-out says of other hypotheses: ln of its probability over that with what stands.
-
-    The effects stay as they were found, the nuisances of the hold-out are its own.  All are predicted at the nuisances that fit
-    with what stands, and led from there to their bottoms by the same derivatives: fits of their own would end at other poses of
-    the edges, where other noise is simulated (10 in ln Z between two models that are the same to a thousandth of a sigma).
-    By how much an effect moves the film, focus errors take back first: twice as far out of focus no derivative leads back.
-    Levels of the light, too, go where derivatives put them and what stands does not: a gain 1 % up fills planes that in 1 % less
-    light are not full.
-    """
-    asked = [h for h in others if h.names not in case.told and h is not case.standing]
-    if case.held is None or not asked:
-        return
-    nominal = case.prepared.model
-    problem, settled = case.held.settled(named_model(nominal, case.standing))
-    problem = problem.with_draws(_draws_of([m for h in (*asked, case.standing) for m in h.effects]))
-    focus = [f for f in settled.free if f.focus]
-    shifts = focus_shifts(problem, settled.point.model, focus)
-
-    def predicted(point: Point) -> tuple[Weighed | None, Float]:
-        (prediction,) = problem.predict([point])
-        z = problem.whitened(problem.measured - prediction)
-        values = np.array([point.values.get(f.label, 0.0) for f in settled.free])
-        if not np.isfinite(z).all():
-            return None, values
-        return weigh(linear_model(problem, replace(settled, values=values, prediction=prediction, z=z)), ()), values
-
-    levels = np.array([f.factor and not f.patch for f in settled.free], bool)
-    reach = np.array([f.reach for f in settled.free])
-    standing, _ = predicted(settled.point)
-    if standing is None:  # a fit that stands nowhere compares nothing
-        case.told |= {h.names: 0.0 for h in asked}
-        return
-    bottom, stands = standing.values, standing.log_evidence
-
-    def log_probability(found: Hypothesis) -> float:
-        point = at_same_focus(problem, Point(named_model(nominal, found), settled.point.values), shifts, focus)
-        weighed, values = predicted(point)
-        if weighed is None:
-            return -np.inf
-        step = np.where(levels, (weighed.values - bottom) * reach, 0.0)
-        if np.any(np.abs(step) > POSED_FACTOR):
-            there = at(point, settled.free, list(walked(values, step, settled.free)))
-            weighed = predicted(there)[0] or weighed
-        return weighed.log_evidence
-
-    told = {h.names: log_probability(h) - stands for h in asked}
-    case.told |= told
-    # what is linear about a hypothesis is no likelier beyond it in the hold-out than that itself
-    logs, case.promised = (
-        {names: value + told.get(case.about.get(names, names), 0.0) for names, value in table.items()}
-        for table in (case.table.logs, case.promised)
-    )
-    known = {names: case.score(h) for names, h in case.known.items() if names in logs}
-    case.table = replace(case.table, logs=logs | known)
-
-
 def rebase(case: Investigation, say: Say) -> None:
     """Predict and weigh anew at the model found so far, until it stands: variances grow with the effect."""
     standing = case.standing
-    seeds = _draws_of(standing.members)
+    seeds = draws_of(standing.members)
     for _ in range(MAX_REBASES):
         model = named_model(case.prepared.model, case.standing)
         say("simulating the plan with the effects named so far")

@@ -23,11 +23,12 @@ from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import orthonormal_basis, with_priors
 from isetval.loop.prediction import Point, Predictor
-from isetval.loop.problem import Problem, make_problem
+from isetval.loop.problem import Problem
 from isetval.loop.result import NextCapture
 from isetval.loop.score_test import Frame, cosine, make_frame
 from isetval.loop.signatures import Signature, signatures
 from isetval.loop.task_runner import Call
+from isetval.loop.weighing import make_problem
 from isetval.measure.campaign import measure_campaign
 
 Float = NDArray[np.float64]

@@ -22,10 +22,11 @@ from isetval.loop.fit import Fit, far_values, fit, moved_far, told_here
 from isetval.loop.given_side import given_rows
 from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import DERIVATIVE_SEEDS, REPLICAS, Point, Predictor
-from isetval.loop.problem import Problem, make_problem
+from isetval.loop.problem import Problem
 from isetval.loop.task_runner import Runner
 from isetval.loop.telling import Say, Teller
 from isetval.loop.valleys import deepest
+from isetval.loop.weighing import make_problem
 from isetval.measure.campaign import measure_campaign
 
 Float = NDArray[np.float64]

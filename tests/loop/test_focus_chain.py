@@ -12,7 +12,8 @@ from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.evidence import hypothesis, refit
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
-from isetval.loop.investigation import Investigation, ask_holdout
+from isetval.loop.hold_out import ask_holdout
+from isetval.loop.investigation import Investigation
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 

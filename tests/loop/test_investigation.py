@@ -16,7 +16,8 @@ from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.detective import CLEAR, ODDS, _better
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
-from isetval.loop.investigation import Investigation, _stands, ask_holdout, fitted_jointly, rebase, weigh_neighbours
+from isetval.loop.hold_out import ask_holdout
+from isetval.loop.investigation import Investigation, _stands, fitted_jointly, rebase, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Base, Point
 from isetval.loop.problem import Problem
@@ -273,6 +274,31 @@ def test_the_hold_out_judges_all_at_one_place():
     assert linear
     for names in linear:  # what is weighed about nothing is no likelier in the hold-out than nothing
         assert case.table.logs[names] == pytest.approx(before[names] + case.told[NOTHING])
+
+
+class FillingCamera(LinearCamera):
+    """A light that adds to what a gain makes brighter: where both pass the level that is full, a row is lost by 20 sigmas."""
+
+    GAIN = "dark_current.rate_e_per_s"
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        lights = [sum(p.values.values()) for p in points]
+        levels = [0.3 * self.offset(p.model, self.GAIN) / UNIT + 100 * light for p, light in zip(points, lights, strict=True)]
+        full = [20 * max(0.0, level - 1) * np.eye(ROWS)[5] for level in levels]
+        linear = super().derivative_vectors(points, seeds)
+        return [a + level * np.eye(ROWS)[4] + lost for a, level, lost in zip(linear, levels, full, strict=True)]
+
+
+def test_the_hold_out_moves_the_light_to_where_a_hypothesis_has_it():
+    """A gain 1 % up in 1 % less light fills nothing; asked in the light of a model without it, it was denied by 66 in ln Z."""
+    case = case_of(10.0 * np.eye(ROWS)[0])
+    problem = replace(case.problem, predictor=FillingCamera(POSED, case.prepared.model), measured=10.0 * np.eye(ROWS)[0])
+    free = nuisance_parameters(POSED, case.prepared.model)
+    case.held = SimpleNamespace(settled=lambda model: (problem, fit(problem, Point(model), free)))
+    found = fitted_jointly(case, frozenset({"dark_current"}))
+    case.told.clear()
+    ask_holdout(case, [found])
+    assert case.told[found.names] > 20  # 10 sigmas, with error bars as uncertain as they are
 
 
 @pytest.mark.parametrize("scatter", [0.5, 1.0, 4.0])

@@ -12,9 +12,9 @@ from isetval.core.sensor import Exposure
 from isetval.effects import catalogue
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.prediction import Point, Predictor
-from isetval.loop.problem import make_problem
 from isetval.loop.shot_task import Sampled
 from isetval.loop.telling import Teller
+from isetval.loop.weighing import make_problem
 from isetval.measure.campaign import measure_campaign, measure_shot, measure_shots
 
 LEVEL = "light_level@set-up:edge"

@@ -9,7 +9,8 @@ from scipy.stats import norm, poisson
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.loop.prediction import Base
-from isetval.loop.problem import Problem, weigh
+from isetval.loop.problem import Problem
+from isetval.loop.weighing import weigh
 
 REPLICAS = 64
 

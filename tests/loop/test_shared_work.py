@@ -13,8 +13,8 @@ from isetval.core.sensor import Exposure
 from isetval.loop import shot_task
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.prepared import prepare
-from isetval.loop.problem import make_problem
 from isetval.loop.task_runner import Call, Runner
+from isetval.loop.weighing import make_problem
 from isetval.measure.campaign import measure_campaign
 from isetval.measure.noise.code_density import LEAST_CODES, LEAST_COUNTS, code_widths
 

@@ -1,0 +1,192 @@
+"""Making a problem: simulate the prediction at a point, and weigh its difference to what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.errors import InputError
+from isetval.core.metric import MetricTable
+from isetval.loop.block_factor import UNWEIGHED, factor, gram
+from isetval.loop.gaussian import TOWARDS_ONE
+from isetval.loop.given_side import given_rows
+from isetval.loop.marginal_columns import marginal_columns
+from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
+from isetval.loop.problem import Problem, Replicas
+from isetval.loop.shot_task import Sampled
+from isetval.loop.shoulder import filling
+
+Float = NDArray[np.float64]
+HOLDS = 1.0  # sigmas of a row: of variances 3 % in flats of 1600 pixels a plane, a third of what weights are known to
+SEEN = 3.0  # standard errors of a mean of replicas: what lies within may be chance
+
+
+def make_problem(
+    predictor: Predictor,
+    origin: Point,
+    *,
+    base: Base | None = None,
+    seeds: tuple[int, ...] = DERIVATIVE_SEEDS,
+    near: Sequence[Problem] = (),
+) -> Problem:
+    """Simulate the prediction at ``origin`` and weigh it; differences are taken with ``seeds``.
+
+    Replicas of shots that one of the problems ``near`` holds as well are not simulated again.
+
+    Raises
+    ------
+    InputError
+        If no measured row can be compared with a prediction.
+    """
+    (anchor,) = predictor.derivative_vectors([origin], seeds)
+    held: dict[str, Replicas] = {}
+    for other in near if base is None else ():
+        held = _that_hold(predictor, anchor, seeds, other) | held
+    base = base or predictor.base(origin, known={name: _moved(own, anchor[predictor.rows[name]]) for name, own in held.items()})
+    made = {name: Replicas(sample, anchor[predictor.rows[name]], seeds) for name, sample in base.samples.items()}
+    measured = predictor.table.values
+    variance = np.diag(base.covariance)
+    usable = (
+        ~_empty_counts(predictor.table, measured, base)
+        & np.isfinite(measured)
+        & np.isfinite(base.mean)
+        & np.isfinite(anchor)
+        & np.isfinite(variance)
+    )
+    full = filling(predictor, origin, anchor, np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), seeds)
+    usable &= ~full.partly
+    # what is only rounding is no measurement; a plateau without any noise still has a height
+    usable &= variance + full.plateau > (1e-9 * np.maximum(1.0, np.abs(np.nan_to_num(base.mean)))) ** 2
+    keep = np.flatnonzero(usable)
+    if keep.size == 0:
+        raise InputError("no metric of the captures has a counterpart in the simulation; check roles, windows and exposure")
+    problem = Problem(
+        predictor, origin, base, measured, keep, UNWEIGHED, anchor, base.covariance, seeds, replicas=made | held, filling=full
+    )
+    weigh(problem)
+    return problem
+
+
+def _that_hold(predictor: Predictor, anchor: Float, seeds: tuple[int, ...], near: Problem) -> dict[str, Replicas]:
+    """Replicas of shots whose rows stand within `HOLDS` sigmas of where they were simulated: weights and scatter are the same.
+
+    A mean over pixels does not feel their noise: shots in which it is not measured hold only where all those do in which it is.
+    """
+    sigma = np.sqrt(np.diag(near.base.covariance))
+
+    def holds(name: str) -> bool:
+        own, rows = near.replicas[name], predictor.rows[name]
+        off = np.abs(anchor[rows] - own.anchor)
+        lost = np.isnan(anchor[rows]) & np.isnan(own.anchor)
+        return own.seeds == seeds and bool(np.all(lost | (off <= HOLDS * sigma[rows])))
+
+    known = {shot.name: holds(shot.name) for shot in predictor.shots if shot.name in near.replicas}
+    of_noise = [here for name, here in known.items() if not predictor.differences[name].one_frame]
+    quiet = bool(of_noise) and all(of_noise)
+    return {n: near.replicas[n] for n, here in known.items() if here and (quiet or not predictor.differences[n].one_frame)}
+
+
+def _moved(replicas: Replicas, anchor: Float) -> Sampled:
+    """Replicas as they would be where the vector of differences is ``anchor``."""
+    return replace(replicas.sample, values=replicas.sample.values + np.nan_to_num(anchor - replicas.anchor))
+
+
+def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np.bool_]:
+    """Rows that count outliers where neither side has any: they hold no information and are not normal."""
+    counts = np.array([m.count for m in table.metrics], bool)
+    nothing = 2 * np.sqrt(0.375) + 1e-9
+    return np.asarray(counts & (measured <= nothing) & (base.values.max(axis=0) <= nothing))
+
+
+def weigh(problem: Problem) -> None:
+    """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
+    keep = problem.keep
+    covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
+    flicker, colors = marginal_columns(problem)
+    covariance += gram(flicker) + gram(colors)
+    problem.color_variance = np.sum(colors**2, axis=1)
+    problem.noise_bias = _bias_of_noise(problem)
+    rounding = _rounding(problem, np.diag(covariance)) + (problem.filling.plateau if problem.filling else 0.0)
+    problem.unseen = np.column_stack([flicker, colors, _each_alone(rounding + problem.base.render)])
+    covariance[np.diag_indices_from(covariance)] += rounding + problem.noise_bias
+    rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
+    covariance *= rare[:, None] * rare
+    problem.covariance = covariance
+    problem.factor = factor(covariance[np.ix_(keep, keep)])
+    problem.numbers = _numbers(problem)
+
+
+def _numbers(problem: Problem) -> dict[str, float]:
+    """What squares of a true model's whitened rows sum to, by family: as replicas and what they do not have scatter.
+
+    At most the number of rows.  A mean square is drawn towards 1 by `TOWARDS_ONE` numbers, as the ladder's is; rows given with
+    error bars and counts of rare things, of which replicas show nothing, hold one number each.
+    """
+    table, keep, replicas = problem.predictor.table, problem.keep, problem.base.replicas
+    if replicas < 2:
+        return {}
+    scatter = np.sqrt((1 + 1 / replicas) / (replicas - 1)) * (problem.base.values - problem.base.mean).T[keep]
+    unseen = problem.unseen[keep]
+    shown = np.sum(problem.factor.white(np.hstack([scatter, unseen[:, np.any(unseen, axis=0)]])) ** 2, axis=1)
+    sure = (given_rows(table) | np.array([m.count for m in table.metrics], bool))[keep]
+    shown = np.where(sure, 1.0, shown)
+    names = np.array([table.metrics[i].family for i in keep])
+    out = {}
+    for name in np.unique(names):
+        rows = int(np.sum(names == name))
+        numbers = rows * (replicas - 1)
+        mean_square = (float(np.sum(shown[names == name])) * (replicas - 1) + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
+        out[str(name)] = rows * min(mean_square, 1.0)
+    return out
+
+
+def _of_rare_counts(problem: Problem, sigma: Float) -> Float:
+    """Factors (metrics,) of sigma that make a count's residual what Poisson's law says of it: the root of its deviance.
+
+    The root of a count is normal with a sigma of 1 where some are expected.  One where none was seen in 64 simulated campaigns is
+    1.1 of these, but happens in one of a hundred and thirty (expected are half an event in all of them, Jeffreys' prior).
+    """
+    counts = np.array([m.count for m in problem.predictor.table.metrics], bool)
+    expected = (np.sum(_counted(problem.base.values), axis=0) + 0.5) / problem.base.replicas
+    found = _counted(problem.measured)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        deviance = np.sqrt(2 * (found * np.log(found / expected) - (found - expected)))
+        factor = (problem.measured - problem.base.mean) / deviance / sigma
+    return np.where(counts & (found > expected) & (factor > 0), np.minimum(np.nan_to_num(factor, nan=1.0), 1.0), 1.0)
+
+
+def _counted(roots: Float) -> Float:
+    """Numbers behind ``2 sqrt(n + 3/8)``."""
+    return np.asarray(np.maximum((roots / 2) ** 2 - 0.375, 0.0))
+
+
+def _rounding(problem: Problem, variance: Float) -> Float:
+    """What measured rows of resampled pictures scatter beyond simulated ones, whose noise hides the rounding, (metrics,)."""
+    table = problem.predictor.table
+    resampled = {shot.name for shot in problem.plan.shots if shot.levels_only}
+    rows = np.array([m.shot in resampled for m in table.metrics], bool)
+    return np.where(rows, np.maximum(table.sigma**2 - variance, 0.0), 0.0)
+
+
+def _each_alone(variance: Float) -> Float:
+    """Columns (metrics, k) of rows that scatter by a ``variance`` (metrics,) of their own."""
+    rows = np.flatnonzero(variance)
+    columns = np.zeros((variance.size, rows.size))
+    columns[rows, np.arange(rows.size)] = np.sqrt(variance[rows])
+    return columns
+
+
+def _bias_of_noise(problem: Problem) -> Float:
+    """Squares of what noise adds to rows whose differences are taken without noise, (metrics,), where it is seen.
+
+    A contrast near zero is a length: noise turns and lengthens it, so that edges with and without noise differ by another amount.
+    The bias is known at the origin; elsewhere it is another, by about as much as it is large.  Without it the true camera at
+    22 um of defocus stood at a mean-square z of 29 to 41 (``tests/loop/test_noise_bias.py``).
+    """
+    base = problem.base
+    bias = np.where(problem.predictor.noise_free, np.nan_to_num(base.mean - problem.anchor), 0.0)
+    spread = np.diag(base.covariance) / base.replicas
+    return np.where(bias**2 > SEEN**2 * spread, bias**2, 0.0)
