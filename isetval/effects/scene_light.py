@@ -36,6 +36,7 @@ class LightNonuniformity(Effect):
         "decenter",
         "prnu",
     )
+    free = FreeAxis("field radius", "strength", 0.5)
     equation = "L x (1 + a x + b y + c r^2), r = 1 at the corner"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.2 (homogeneity of the light source); second-order expansion"
     must_not_change = ("dark", "edge", "chart")

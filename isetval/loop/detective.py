@@ -15,9 +15,9 @@ from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
-from isetval.loop.fit import far_values
+from isetval.loop.fit import Fit, far_values
 from isetval.loop.forms import in_best_form
-from isetval.loop.hold_out import ask_holdout
+from isetval.loop.hold_out import ask_holdout, said
 from isetval.loop.investigation import (
     CLEAR,
     ODDS,
@@ -38,6 +38,7 @@ from isetval.loop.verdict import ALPHA, account_of, something_unknown, stopped_a
 
 Float = NDArray[np.float64]
 LIMIT_S = 3600.0  # a search that is not over in an hour is asked for by name: the longest that was seen took a quarter of it
+BESIDE = 2  # rivals of what stands that are asked for their forms before a name is added: a fit each
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
 
@@ -184,13 +185,32 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     """What should stand: where it adds a name to what stands, that in another form, if the name has not 19 to 1 against it.
 
     What is left over may be too little to be seen as such, and enough for a name that goes with it: a warm-up that comes to an
-    end leaves of a linear one what looks like more dark current.
+    end leaves of a linear one what looks like more dark current.  The hold-out is asked of both: of a fall-off in five windows a
+    curve and a shadow in one of them say the same, and the shadow alone had its word.
     """
     if not (case.standing.effects and better.names > case.standing.names):
         return better
-    shaped = in_best_form(case, case.standing, say, asked=True)
-    gain = better.log_evidence + case.log_prior(better.members) - shaped.log_evidence - case.log_prior(shaped.members)
-    return better if shaped is case.standing or gain > float(np.log(ODDS)) else shaped
+    words: dict[Fit, float] = {}
+
+    def heard(found: Hypothesis) -> float:
+        if found.fitted not in words:
+            (words[found.fitted],) = said(case, [found])
+        return words[found.fitted]
+
+    def odds(found: Hypothesis) -> float:
+        return found.log_evidence + case.log_prior(found.members) + heard(found)
+
+    asked = [case.standing, *_close_to(case, case.standing)]
+    shaped = [(own, in_best_form(case, own, say, asked=True, heard=heard)) for own in asked]
+    best = max((found for own, found in shaped if found is not own), key=odds, default=better)
+    return better if odds(better) - odds(best) > float(np.log(ODDS)) else best
+
+
+def _close_to(case: Investigation, found: Hypothesis) -> list[Hypothesis]:
+    """Others of as many members that come close to a hypothesis, the likeliest first: of several that look alike one may bend."""
+    fitted = [h for names, h in case.known.items() if h is not found and names not in case.rough]
+    close = [h for h in fitted if len(h.members) == len(found.members) and case.score(found) - case.score(h) < CLEAR]
+    return sorted(close, key=case.score, reverse=True)[:BESIDE]
 
 
 def _move_base(case: Investigation, say: Say) -> None:

@@ -34,7 +34,13 @@ LEFT = 0.1  # how often a right form may be asked for another: what that costs i
 
 
 def in_best_form(
-    case: Investigation, found: Hypothesis, say: Say, *, asked: bool = False, lead: float | None = None
+    case: Investigation,
+    found: Hypothesis,
+    say: Say,
+    *,
+    asked: bool = False,
+    lead: float | None = None,
+    heard: Callable[[Hypothesis], float] | None = None,
 ) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
@@ -42,22 +48,32 @@ def in_best_form(
     left over (or it is ``asked``: another name is about to explain it); those that promise strong evidence are fitted in full.
     The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.  ``lead`` is the score of
     the best hypothesis that it is compared with (of all that were fitted if none is stated): of rivals in the catalogue's forms
-    each is asked for its own before one that got it stands in front of the others.
+    each is asked for its own before one that got it stands in front of the others.  ``heard`` is what the hold-out says of a fit,
+    over what it says of what stands: curves have many parameters, and the captures that they were fitted to half a word.
     """
     lead = max(case.score(h) for h in case.known.values()) if lead is None else lead
     for name in sorted(m.name for m in found.effects):
-        found = _in_best_form_of(case, found, name, say, asked, lead)
+        found = _in_best_form_of(case, found, name, say, asked, lead, heard)
     return found
 
 
-def _in_best_form_of(case: Investigation, found: Hypothesis, name: str, say: Say, asked: bool, lead: float) -> Hypothesis:
+def _in_best_form_of(
+    case: Investigation,
+    found: Hypothesis,
+    name: str,
+    say: Say,
+    asked: bool,
+    lead: float,
+    heard: Callable[[Hypothesis], float] | None,
+) -> Hypothesis:
     if not (_openings(_form(found, name)) and (asked or something_left(case, found))):
         return found
     fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, asked, lead))]
     if len(fits) == 1:
         return found
-    fits.sort(key=case.score, reverse=True)
-    chosen = fits[0] if case.score(fits[0]) - case.score(found) > CLOSE_LOG_ODDS else found
+    scores = {f.fitted: case.score(f) + (heard(f) if heard and f is not case.standing else 0.0) for f in fits}
+    fits.sort(key=lambda f: scores[f.fitted], reverse=True)
+    chosen = fits[0] if scores[fits[0].fitted] - scores[found.fitted] > CLOSE_LOG_ODDS else found
     null = case.known[NOTHING].log_evidence
     rows = [
         FormRow(_words(_form(f, name)), tuple(p.name for p in _form(f, name).parameters), f.log_evidence - null)

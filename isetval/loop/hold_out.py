@@ -10,62 +10,23 @@ from numpy.typing import NDArray
 
 from isetval.loop.derivatives import at
 from isetval.loop.evidence import Hypothesis, linear_model
+from isetval.loop.fit import Fit
 from isetval.loop.fit_state import POSED_FACTOR, walked
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.investigation import Investigation, draws_of, named_model
 from isetval.loop.prediction import Point
+from isetval.loop.problem import Problem
 from isetval.loop.subset_sum import Weighed, weigh
 
 Float = NDArray[np.float64]
 
 
 def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
-    """What the hold-out says of other hypotheses: ln of its probability over that with what stands.
-
-    The effects stay as they were found, the nuisances of the hold-out are its own.  All are predicted at the nuisances that fit
-    with what stands, and led from there to their bottoms by the same derivatives: fits of their own would end at other poses of
-    the edges, where other noise is simulated (10 in ln Z between two models that are the same to a thousandth of a sigma).
-    By how much an effect moves the film, focus errors take back first: twice as far out of focus no derivative leads back.
-    Levels of the light, too, go where derivatives put them and what stands does not: a gain 1 % up fills planes that in 1 % less
-    light are not full.
-    """
+    """Ask the hold-out of those hypotheses that it was not asked of, and let the sum know what it `said`."""
     asked = [h for h in others if h.names not in case.told and h is not case.standing]
     if case.held is None or not asked:
         return
-    nominal = case.prepared.model
-    problem, settled = case.held.settled(named_model(nominal, case.standing))
-    problem = problem.with_draws(draws_of([m for h in (*asked, case.standing) for m in h.effects]))
-    focus = [f for f in settled.free if f.focus]
-    shifts = focus_shifts(problem, settled.point.model, focus)
-
-    def predicted(point: Point) -> tuple[Weighed | None, Float]:
-        (prediction,) = problem.predict([point])
-        z = problem.whitened(problem.measured - prediction)
-        values = np.array([point.values.get(f.label, 0.0) for f in settled.free])
-        if not np.isfinite(z).all():
-            return None, values
-        return weigh(linear_model(problem, replace(settled, values=values, prediction=prediction, z=z)), ()), values
-
-    levels = np.array([f.factor and not f.patch for f in settled.free], bool)
-    reach = np.array([f.reach for f in settled.free])
-    standing, _ = predicted(settled.point)
-    if standing is None:  # a fit that stands nowhere compares nothing
-        case.told |= {h.names: 0.0 for h in asked}
-        return
-    bottom, stands = standing.values, standing.log_evidence
-
-    def log_probability(found: Hypothesis) -> float:
-        point = at_same_focus(problem, Point(named_model(nominal, found), settled.point.values), shifts, focus)
-        weighed, values = predicted(point)
-        if weighed is None:
-            return -np.inf
-        step = np.where(levels, (weighed.values - bottom) * reach, 0.0)
-        if np.any(np.abs(step) > POSED_FACTOR):
-            there = at(point, settled.free, list(walked(values, step, settled.free)))
-            weighed = predicted(there)[0] or weighed
-        return weighed.log_evidence
-
-    told = {h.names: log_probability(h) - stands for h in asked}
+    told = {h.names: word for h, word in zip(asked, said(case, asked), strict=True)}
     case.told |= told
     # what is linear about a hypothesis is no likelier beyond it in the hold-out than that itself
     logs, case.promised = (
@@ -74,3 +35,51 @@ def ask_holdout(case: Investigation, others: Sequence[Hypothesis]) -> None:
     )
     known = {names: case.score(h) for names, h in case.known.items() if names in logs}
     case.table = replace(case.table, logs=logs | known)
+
+
+def said(case: Investigation, asked: Sequence[Hypothesis]) -> list[float]:
+    """What the hold-out says of hypotheses: ln of its probability over that with what stands; 0 without one.
+
+    The effects stay as they were found, the nuisances of the hold-out are its own.  All are predicted at the nuisances that fit
+    with what stands, and led from there to their bottoms by the same derivatives: fits of their own would end at other poses of
+    the edges, where other noise is simulated (10 in ln Z between two models that are the same to a thousandth of a sigma).
+    By how much an effect moves the film, focus errors take back first: twice as far out of focus no derivative leads back.
+    Levels of the light, too, go where derivatives put them and what stands does not: a gain 1 % up fills planes that in 1 % less
+    light are not full.
+    """
+    if case.held is None:
+        return [0.0] * len(asked)
+    nominal = case.prepared.model
+    problem, settled = case.held.settled(named_model(nominal, case.standing))
+    problem = problem.with_draws(draws_of([m for h in (*asked, case.standing) for m in h.effects]))
+    focus = [f for f in settled.free if f.focus]
+    shifts = focus_shifts(problem, settled.point.model, focus)
+    levels = np.array([f.factor and not f.patch for f in settled.free], bool)
+    reach = np.array([f.reach for f in settled.free])
+    standing, _ = _weighed_at(problem, settled, settled.point)
+    if standing is None:  # a fit that stands nowhere compares nothing
+        return [0.0] * len(asked)
+    bottom, stands = standing.values, standing.log_evidence
+
+    def log_probability(found: Hypothesis) -> float:
+        point = at_same_focus(problem, Point(named_model(nominal, found), settled.point.values), shifts, focus)
+        weighed, values = _weighed_at(problem, settled, point)
+        if weighed is None:
+            return -np.inf
+        step = np.where(levels, (weighed.values - bottom) * reach, 0.0)
+        if np.any(np.abs(step) > POSED_FACTOR):
+            there = at(point, settled.free, list(walked(values, step, settled.free)))
+            weighed = _weighed_at(problem, settled, there)[0] or weighed
+        return weighed.log_evidence
+
+    return [log_probability(h) - stands for h in asked]
+
+
+def _weighed_at(problem: Problem, settled: Fit, point: Point) -> tuple[Weighed | None, Float]:
+    """The evidence at a point, the nuisances led to their bottom by the derivatives of a fit, and where they stand there."""
+    (prediction,) = problem.predict([point])
+    z = problem.whitened(problem.measured - prediction)
+    values = np.array([point.values.get(f.label, 0.0) for f in settled.free])
+    if not np.isfinite(z).all():
+        return None, values
+    return weigh(linear_model(problem, replace(settled, values=values, prediction=prediction, z=z)), ()), values
