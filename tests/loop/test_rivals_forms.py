@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from isetval.loop import shortlist
+from isetval.loop import detective, shortlist
 
 OWN = {"knee": -411.0, "bent": -430.4, "table": -470.0}  # ln(Z pi) of the trial that this is (a knee of .76 % at 2500 e-)
 FREE = {"knee": -400.7, "bent": -407.6, "table": -469.0}
@@ -40,3 +40,42 @@ def test_what_a_freer_form_put_in_front_does_not_win_by_that(monkeypatch, seen, 
     assert opened == wanted
     best = max(case.known.values(), key=case.score)
     assert best.name == "knee"
+
+
+class Standing:
+    """A hypothesis by its names, its log evidence and what the hold-out says of it."""
+
+    def __init__(self, names, log_evidence, word=0.0):
+        self.names, self.log_evidence, self.word = frozenset(names), log_evidence, word
+        self.members = self.effects = tuple(sorted(names))
+        self.fitted = object()
+
+
+@pytest.mark.parametrize(
+    ("curve", "of_what", "wanted"),
+    [
+        ((-5.0, 16.0), "fall-off", "curve"),  # as likely as the name in both sessions together: no second name
+        ((-5.0, 4.0), "fall-off", "name"),  # the second session denies the curve
+        ((-5.0, 16.0), "light", "curve"),  # a close rival of what stands bends in its place
+        (None, "fall-off", "name"),
+    ],
+)
+def test_a_curve_and_a_further_name_are_both_asked_of_the_hold_out(monkeypatch, curve, of_what, wanted):
+    """Of a fall-off linear in the radius a shadow in one window had the hold-out's word; the curve that says as much had none."""
+    stands, rival = Standing({"fall-off"}, 0.0), Standing({"light"}, -2.0)
+    named = Standing({"fall-off", "dust"}, 4.0, word=15.0)
+    shaped = None if curve is None else Standing({of_what}, *curve)
+    case = SimpleNamespace(
+        standing=stands,
+        known={h.names: h for h in (stands, rival, named)},
+        rough=set(),
+        score=lambda h: h.log_evidence,
+        log_prior=lambda members: -9.0 * (len(members) - 1),
+    )
+
+    def in_best_form(case, found, say, *, asked, heard):
+        return shaped if asked and shaped is not None and shaped.names == found.names else found
+
+    monkeypatch.setattr(detective, "in_best_form", in_best_form)
+    monkeypatch.setattr(detective, "said", lambda case, asked: [h.word for h in asked])
+    assert detective._form_before_name(case, named, print) is (shaped if wanted == "curve" else named)
