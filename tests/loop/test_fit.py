@@ -12,7 +12,7 @@ from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
 from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import difference_of_both, jacobian
-from isetval.loop.family_scales import SCALE_DOF
+from isetval.loop.family_scales import dof_of
 from isetval.loop.fit import far_values, fit, moved_far
 from isetval.loop.fit_state import FitState, walked
 from isetval.loop.prediction import Base, Point
@@ -218,8 +218,9 @@ def test_costs_of_fits_that_ended_with_and_without_scales_can_be_compared():
     found, stated = (fit(near, Point(SimpleNamespace()), FREE, stated=own) for own in (False, True))
     assert found.chi2 < 2 * near.keep.size  # no second fit
     pulls = found.chi2 - found.z @ found.z
-    scale = (SCALE_DOF + found.z @ found.z) / (SCALE_DOF + found.z.size)
-    assert found.cost == pytest.approx((SCALE_DOF + found.z.size) * np.log(scale) + found.z.size + pulls)
+    (dof,) = dof_of(["mtf"])
+    scale = (dof + found.z @ found.z) / (dof + found.z.size)
+    assert found.cost == pytest.approx((dof + found.z.size) * np.log(scale) + found.z.size + pulls)
     assert found.cost != pytest.approx(found.chi2, rel=1e-3)
     np.testing.assert_allclose(found.weight, 1 / np.sqrt(scale))
     assert stated.cost == stated.chi2
