@@ -49,6 +49,11 @@ def main(words=None):
         return 0
     if options.make:
         return _make(*options.make)
+    if options.scales:
+        from hidden_trials.scales import scale_lines
+
+        print("\n".join(scale_lines(_rows(options.rows))))
+        return 0
     if not options.sum_up:
         _run(options)
     _sum_up(options)
@@ -76,6 +81,7 @@ def _options(words):
     parser.add_argument("--report", type=Path, default=REPORT, help="the page; its numbers go beside it as .json")
     parser.add_argument("--sum-up", action="store_true", help="no trials: the page of the rows that are there")
     parser.add_argument("--table", action="store_true", help="print target, measured, n of the stored page")
+    parser.add_argument("--scales", action="store_true", help="print how well error bars are known, from the nulls of the rows")
     parser.add_argument("--calibrate", action="store_true", help="measure how strongly effects stand out in a plan")
     parser.add_argument("--predict", action="store_true", help="store the confusions that identify predicts for a plan")
     parser.add_argument("--lens", choices=("open", "stopped"), default="open", help="setting of the lens to calibrate")

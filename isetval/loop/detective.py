@@ -193,6 +193,8 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     words: dict[Fit, float] = {}
 
     def heard(found: Hypothesis) -> float:
+        if found is case.standing:
+            return 0.0
         if found.fitted not in words:
             (words[found.fitted],) = said(case, [found])
         return words[found.fitted]
@@ -201,8 +203,11 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
         return found.log_evidence + case.log_prior(found.members) + heard(found)
 
     asked = [case.standing, *_close_to(case, case.standing)]
-    shaped = [(own, in_best_form(case, own, say, asked=True, heard=heard)) for own in asked]
-    best = max((found for own, found in shaped if found is not own), key=odds, default=better)
+    formed = [(own, in_best_form(case, own, say, asked=True, heard=heard)) for own in asked]
+    shaped = [found for own, found in formed if found is not own]
+    if not shaped:
+        return better
+    best = max(shaped, key=odds)
     return better if odds(better) - odds(best) > float(np.log(ODDS)) else best
 
 

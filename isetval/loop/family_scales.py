@@ -1,10 +1,10 @@
 """Scales of metric families: rows of family f have variance lambda_f, which is known as well as stated error bars are.
 
 How well that is was measured on true models, campaigns of two sessions by a camera of other code, whose mean-square z of a
-family is F of n and so many degrees of freedom.  Levels and variances of darks and flats (170 campaigns): 300 most likely; 200
-lie behind by 8 in ln L, 50 by 277.  Charts (19 campaigns of a laboratory's plan): more than 1000; 200 behind by 10 and 3, 50
-by 30 and 15.  Contrasts of edges, as many as they hold numbers: 200; 100 behind by 2, 50 by 8.  For cameras that are not
-simulated the fewer count.  Of others the data say less: 50 lie behind by 1 to 3.
+family is F of n and so many degrees of freedom.  Levels and variances of darks and flats (170 campaigns of the small plan): 300
+most likely; 200 lie behind by 8 in ln L, 50 by 277.  Of the laboratory's plan ``analyses/hidden_effects.py --scales`` says (16
+campaigns): charts more than 1000, 200 behind by 8 and 4, 50 by 24 and 15; contrasts of edges, as many as they hold numbers, 200,
+with 100 behind by 2 and 50 by 7.  For cameras that are not simulated the fewer count.  Of others the data say little.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ def in_best_form(
     *,
     asked: bool = False,
     lead: float | None = None,
-    heard: Callable[[Hypothesis], float] | None = None,
+    heard: Callable[[Hypothesis], float] = lambda _: 0.0,
 ) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
@@ -64,14 +64,14 @@ def _in_best_form_of(
     say: Say,
     asked: bool,
     lead: float,
-    heard: Callable[[Hypothesis], float] | None,
+    heard: Callable[[Hypothesis], float],
 ) -> Hypothesis:
     if not (_openings(_form(found, name)) and (asked or something_left(case, found))):
         return found
     fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, asked, lead))]
     if len(fits) == 1:
         return found
-    scores = {f.fitted: case.score(f) + (heard(f) if heard and f is not case.standing else 0.0) for f in fits}
+    scores = {f.fitted: case.score(f) + heard(f) for f in fits}
     fits.sort(key=lambda f: scores[f.fitted], reverse=True)
     chosen = fits[0] if scores[fits[0].fitted] - scores[found.fitted] > CLOSE_LOG_ODDS else found
     null = case.known[NOTHING].log_evidence

@@ -27,11 +27,6 @@ def log_volume(covariance: Float) -> float:
     return factor(covariance).log_volume
 
 
-def square(residual: Float, covariance: Float) -> float:
-    """R' C^-1 r of a residual (n,)."""
-    return float(squares(residual[:, None], covariance)[0])
-
-
 def squares(residuals: Float, covariance: Float) -> Float:
     """R' C^-1 r, (k,), of residuals (n, k)."""
     return np.asarray(np.sum(factor(covariance).white(residuals) ** 2, axis=0))
@@ -50,10 +45,23 @@ def expected_mean_square(values: Float, covariance: Float, unseen: Float | None 
     replicas, n = values.shape
     if replicas < 2:
         return 1.0
-    shown = np.sqrt(1 + 1 / replicas) * (values - values.mean(axis=0)).T
-    hidden = np.zeros((n, 0)) if unseen is None else np.sqrt(replicas - 1) * unseen
-    total = float(np.sum(squares(np.hstack([shown, hidden]), covariance)))
-    return float((total + TOWARDS_ONE) / (n * (replicas - 1) + TOWARDS_ONE))
+    shown = true_scatter(values, np.zeros((n, 0)) if unseen is None else unseen)
+    return towards_one(float(np.sum(squares(shown, covariance))), n, replicas)
+
+
+def true_scatter(values: Float, unseen: Float) -> Float:
+    """Columns (n, replicas + k) whose squares, whitened and summed over the columns, are those of a true model's residuals.
+
+    ``values`` (replicas, n) and ``unseen`` (n, k) as in `expected_mean_square`.
+    """
+    replicas = len(values)
+    return np.hstack([np.sqrt((1 + 1 / replicas) / (replicas - 1)) * (values - values.mean(axis=0)).T, unseen])
+
+
+def towards_one(total: float, n: int, replicas: int) -> float:
+    """The mean of n squares that sum to ``total``, known from some replicas, drawn towards 1 by `TOWARDS_ONE` numbers."""
+    seen = replicas - 1
+    return (total * seen + TOWARDS_ONE) / (n * seen + TOWARDS_ONE)
 
 
 def prior_weights(free: Sequence[Parameter]) -> Float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
 from isetval.loop.block_factor import UNWEIGHED, factor, gram
-from isetval.loop.gaussian import TOWARDS_ONE
+from isetval.loop.gaussian import towards_one, true_scatter
 from isetval.loop.given_side import given_rows
 from isetval.loop.marginal_columns import marginal_columns
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
@@ -102,7 +102,7 @@ def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np
 
 
 def weigh(problem: Problem) -> None:
-    """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light) and its L^-1."""
+    """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light), its factor, what rows hold."""
     keep = problem.keep
     covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
     flicker, colors = marginal_columns(problem)
@@ -122,24 +122,22 @@ def weigh(problem: Problem) -> None:
 def _numbers(problem: Problem) -> dict[str, float]:
     """What squares of a true model's whitened rows sum to, by family: as replicas and what they do not have scatter.
 
-    At most the number of rows.  A mean square is drawn towards 1 by `TOWARDS_ONE` numbers, as the ladder's is; rows given with
+    At most the number of rows.  A mean square is drawn towards 1 as the ladder's is (`gaussian.towards_one`); rows given with
     error bars and counts of rare things, of which replicas show nothing, hold one number each.
     """
     table, keep, replicas = problem.predictor.table, problem.keep, problem.base.replicas
     if replicas < 2:
         return {}
-    scatter = np.sqrt((1 + 1 / replicas) / (replicas - 1)) * (problem.base.values - problem.base.mean).T[keep]
     unseen = problem.unseen[keep]
-    shown = np.sum(problem.factor.white(np.hstack([scatter, unseen[:, np.any(unseen, axis=0)]])) ** 2, axis=1)
+    scatter = true_scatter(problem.base.values[:, keep], unseen[:, np.any(unseen, axis=0)])
+    shown = np.sum(problem.factor.white(scatter) ** 2, axis=1)
     sure = (given_rows(table) | np.array([m.count for m in table.metrics], bool))[keep]
     shown = np.where(sure, 1.0, shown)
     names = np.array([table.metrics[i].family for i in keep])
     out = {}
     for name in np.unique(names):
-        rows = int(np.sum(names == name))
-        numbers = rows * (replicas - 1)
-        mean_square = (float(np.sum(shown[names == name])) * (replicas - 1) + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
-        out[str(name)] = rows * min(mean_square, 1.0)
+        own = shown[names == name]
+        out[str(name)] = own.size * min(towards_one(float(np.sum(own)), own.size, replicas), 1.0)
     return out
 
 
@@ -154,8 +152,8 @@ def _of_rare_counts(problem: Problem, sigma: Float) -> Float:
     found = _counted(problem.measured)
     with np.errstate(invalid="ignore", divide="ignore"):
         deviance = np.sqrt(2 * (found * np.log(found / expected) - (found - expected)))
-        factor = (problem.measured - problem.base.mean) / deviance / sigma
-    return np.where(counts & (found > expected) & (factor > 0), np.minimum(np.nan_to_num(factor, nan=1.0), 1.0), 1.0)
+        share = (problem.measured - problem.base.mean) / deviance / sigma
+    return np.where(counts & (found > expected) & (share > 0), np.minimum(np.nan_to_num(share, nan=1.0), 1.0), 1.0)
 
 
 def _counted(roots: Float) -> Float:

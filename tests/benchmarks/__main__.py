@@ -1,6 +1,6 @@
 """The whole speed table: what is asked, what was measured, CPU and wall apart, the load beside it.
 
-    python -m tests.benchmarks [--only dng,measure,sfr,photon,chain,lens] [--files 1000] [-o table.json]
+    python -m tests.benchmarks [--only dng,measure,sfr,photon,chain,lens,weights] [--files 1000] [-o table.json]
 
 Every ratio is of times that were taken in turns within one run, so that a busy machine slows both sides; CPU times still grow by
 some ten percent where others use the caches.  About five minutes on a quiet core.
@@ -15,6 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 import archive_scale
+import block_weights
 import dng_reading
 import lens_diagnosis
 import photon_transfer_speed
@@ -35,6 +36,7 @@ PARTS = {
     "photon": lambda args: photon_transfer_speed.rows(),
     "chain": lambda args: sensor_chain_speed.rows(),
     "lens": lambda args: lens_diagnosis.rows(),
+    "weights": lambda args: block_weights.rows(),
 }
 
 
