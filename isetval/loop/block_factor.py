@@ -1,7 +1,7 @@
 """The triangular root of a covariance, made and applied block by block of rows that have to do with each other.
 
 Shots are independent but for what they share: the covariance of a laboratory's plan (5,300 rows in two sessions) falls into a
-hundred blocks, the root of which costs a hundredth of that of the whole.  Rows keep their order within a block, so that
+hundred blocks, the root of which costs a tenth of that of the whole.  Rows keep their order within a block, so that
 the root is that of the whole matrix: elements between blocks are exactly zero in both.
 
 Correlations carry `JITTER` on their diagonal: covariances of smooth curves are singular to rounding, and a Cholesky factor
