@@ -63,7 +63,8 @@ class Candidate:
     ``parameters`` are those that are freed, ``nominal`` their values in the model.  Candidates of one effect are forms of one
     class (``name`` says which): a hypothesis holds one of them, and ``prior_weight`` is a form's share of the class's odds.
     ``code_steps`` are what of its parameters, by key, moves the brightest level by one code where it rounds codes anew.
-    ``scale`` is that of the camera.
+    ``scale`` is that of the camera; ``held`` are value, sigma and nominal value, by name, of what its curve takes the
+    place of: it stands in the effect and is free no more.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Candidate:
     prior_weight: float = 1.0
     code_steps: Mapping[str, float] = field(default_factory=dict)
     scale: Scale = Scale()
+    held: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def shapes(self) -> tuple[ParameterInfo, ...]:

@@ -13,7 +13,7 @@ from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate, Doubt
 from isetval.loop.code_stair import CODES, on_lowest_step
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
+from isetval.loop.fit import ALIKE, MAX_ITERATIONS, Fit, fit
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.gaussian import hessian, inverse, orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
@@ -66,6 +66,13 @@ class Hypothesis:
             if key in effect.keys:
                 value = effect.as_stated(key, value)
         return value, sigma * float(self.wider[[f.label for f in self.fitted.free].index(key)])
+
+    def is_clear(self, key: str) -> bool:
+        """Whether a parameter stands `CLEAR_OF` of its sigmas off its null."""
+        effect = next(m for m in self.effects if key in m.keys)
+        null = effect.parameters[effect.keys.index(key)].null
+        value, sigma = self.value(key)
+        return abs(value - null) > CLEAR_OF * sigma
 
     @property
     def names(self) -> frozenset[str]:
@@ -174,7 +181,8 @@ def fitted_members(
             break
         for label in anew:
             problem.columns.pop(label, None)
-        fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations, stated=stated)
+        near = not stated and fitted.chi2 >= ALIKE * problem.keep.size
+        fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations, stated=stated, near=near)
     for member in members if iterations else ():
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)

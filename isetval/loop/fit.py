@@ -93,6 +93,7 @@ def fit(
     pose: Mapping[str, float] | None = None,
     iterations: int = MAX_ITERATIONS,
     stated: bool = False,
+    near: bool = False,
 ) -> Fit:
     """Maximum a posteriori values of ``free`` by Gauss-Newton steps in a trust region, with re-simulated predictions.
 
@@ -108,6 +109,8 @@ def fit(
         Steps at most; with 0 all is linearised where it starts.
     stated : bool
         Whether error bars are as stated, and no family has a scale of its own.
+    near : bool
+        Whether it starts where a fit with scales of its own ended.
 
     Raises
     ------
@@ -125,7 +128,7 @@ def fit(
     pulls.  So error bars count as stated first, and have scales only where that fit leaves more than `ALIKE`.
     """
     free, families = tuple(free), problem.families
-    if stated or iterations:
+    if stated or (iterations and not near):
         first = _descended(problem, start, free, pose or {}, iterations, families.as_stated())
         if stated:
             return first
