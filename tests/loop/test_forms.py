@@ -17,8 +17,11 @@ from isetval.core.toml import data_folder
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import candidates_for
 from isetval.loop.curve_campaign import curve_campaign
+from isetval.loop.evidence import Hypothesis
+from isetval.loop.fit import Fit
 from isetval.loop.forms import _openings, something_left
 from isetval.loop.given_side import in_large_pixels, shoot
+from isetval.loop.subset_sum import Weighed
 from isetval.measure.analyses.full_field import ring_means
 
 RADII_MM = np.arange(0.15, 3.41, 0.15)
@@ -37,10 +40,34 @@ def camera():
 def test_forms_and_shapes_of_a_candidate_are_weighed(camera):
     found = {c.name: c for c in candidates_for(camera)}
     assert [c.effect.form for c in found.values() if c.klass == "pixel_angular_response"] == ["gaussian", "sin2"]
-    opened = _openings(found["vignetting"])
+    opened = _openings(fitted_alone(found["vignetting"], 0.01, 0.02), "vignetting")
     assert [tuple(p.name for p in c.parameters)[1:3] for c in opened] == [("r0",), ("free_1", "free_2"), ("r0", "free_1")]
     assert all(c.name == "vignetting" and c.prior_weight < found["vignetting"].prior_weight for c in opened)
-    assert _openings(found["read_noise"]) == []  # it states no axis, and has no shape
+    assert _openings(fitted_alone(found["read_noise"], 0.5, 0.1), "read_noise") == []  # it states no axis, and has no shape
+
+
+def test_a_curve_takes_the_place_of_the_amplitude_that_it_multiplies(camera):
+    candidate = next(c for c in candidates_for(camera) if c.name == "vignetting")
+    value, sigma = 0.06, 0.0002
+    shaped, curve, both = _openings(fitted_alone(candidate, value, sigma), "vignetting")
+    assert [p.name for p in shaped.parameters] == ["v", "r0"]
+    assert [p.name for p in curve.parameters][:2] == ["free_1", "free_2"]
+    assert [p.name for p in both.parameters][:2] == ["r0", "free_1"]
+    assert curve.effect.v == value
+    assert curve.held == {"v": (value, sigma, 0.0)}
+    # the prior of the amplitude is paid as before: a density of N(value; 0, tau) over the width of what was found
+    tau = float(candidate.tau[0])
+    paid = sigma / tau * np.exp(-((value / tau) ** 2) / 2)
+    assert curve.prior_weight / shaped.prior_weight == pytest.approx(paid)
+
+
+def fitted_alone(candidate, value, sigma):
+    """A candidate with one parameter as a fit found it."""
+    (free,) = candidate.free([0.01])
+    (key,) = candidate.keys
+    fitted = Fit(None, (free,), np.array([value]), np.array([[sigma**2]]), *[np.zeros(0)] * 4, 0.0, 0.0, 1.0, True)
+    weighed = Weighed((), 0.0, np.zeros(1), np.array([[(sigma / free.reach) ** 2]]), np.ones(1))
+    return Hypothesis((candidate,), fitted, 0.0, weighed, {key: value}, np.ones(1))
 
 
 def seen_through(model) -> np.ndarray:
