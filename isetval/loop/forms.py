@@ -76,7 +76,7 @@ def _in_best_form_of(
     chosen = fits[0] if scores[fits[0].fitted] - scores[found.fitted] > CLOSE_LOG_ODDS else found
     null = case.known[NOTHING].log_evidence
     rows = [
-        FormRow(_words(_form(f, name)), tuple(p.name for p in _form(f, name).parameters), f.log_evidence - null)
+        FormRow(_words(_form(f, name)), tuple(p.name for p in _form(f, name).parameters), _log_evidence(f, found, name) - null)
         for f in (chosen, *(f for f in fits if f is not chosen))
     ]
     if chosen is not found or name not in case.forms:  # asked again at a new base, what was weighed there first stays
@@ -89,6 +89,13 @@ def _in_best_form_of(
 def _form(hypothesis: Hypothesis, name: str) -> Candidate:
     """The candidate of that name, in the form that a hypothesis holds."""
     return next(m for m in hypothesis.effects if m.name == name)
+
+
+def _log_evidence(shaped: Hypothesis, own: Hypothesis, name: str) -> float:
+    """Ln Z of an effect in another form than its own, with what the prior of an amplitude costs that is held in it."""
+    form = _form(shaped, name)
+    paid = float(np.log(form.prior_weight / FREE_SHARE / _form(own, name).prior_weight)) if form.held else 0.0
+    return shaped.log_evidence + paid
 
 
 def _words(candidate: Candidate) -> str:
