@@ -281,29 +281,53 @@ class Predictor:
         small = frozenset(name for name, n in pixels.items() if n <= np.mean(list(pixels.values())))
         return small if len(small) < len(pixels) else frozenset()
 
-    def base(self, point: Point, replicas: int = REPLICAS, *, known: Mapping[str, Sampled] | None = None) -> Base:
-        """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen; some may be ``known``."""
+    def base(self, point: Point, replicas: int = REPLICAS, *, darks: int = 0, known: Mapping[str, Sampled] | None = None) -> Base:
+        """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen; some may be ``known``.
+
+        Of dark shots there are ``darks`` where that is more: what their error bars are scaled by is known from all of them.
+        """
         every = [self.parts(point, BASE_SEED + r, derivative=False) for r in range(replicas)]
+        further = self.only({shot.name for shot in self.shots if shot.role == "dark" and shot.given is None})
+        more = [further.parts(point, BASE_SEED + r, derivative=False) for r in range(replicas, darks)] if further.shots else []
         count = min(COVARIANCE_REPLICAS, replicas)
         samples = {name: replace(sample, values=sample.values[:replicas]) for name, sample in (known or {}).items()}
         groups = [[parts[k] for parts in every] for k, shot in enumerate(self.shots) if shot.name not in samples]
+        place = {shot.name: k for k, shot in enumerate(further.shots)}
+        for group in groups if more else ():
+            if (name := group[0].setup.shot.name) in place:
+                group += [parts[place[name]] for parts in more]
         for group, vector in zip(groups, self.known_or_made(sample_of, groups, [(count,)] * len(groups)), strict=True):
             name = group[0].setup.shot.name
             samples[name] = Sampled.unpacked(vector).only(self.pick[name])
-        values, covariance = self._gathered([samples[shot.name] for shot in self.shots])
-        scale = scatter(values, measured_only(covariance, self.table), self.table.metrics)
+        values, covariance = self._gathered([samples[shot.name] for shot in self.shots], replicas)
+        scale = self._scatter(samples, measured_only(covariance, self.table))
         rendered = self._of_renders(every[0])
         covariance = with_stated_covariance(covariance * np.outer(scale, scale) + rendered, self.table, replicas)
         return Base(values.mean(axis=0), covariance, values, scale, np.diag(rendered), samples)
 
-    def _gathered(self, samples: Sequence[Sampled]) -> tuple[Float, Float]:
+    def _scatter(self, samples: Mapping[str, Sampled], covariance: Float) -> Float:
+        """Ratio (metrics,) of the scatter of replicas to the stated covariance, of shots of which there are as many together."""
+        alike: dict[int, list[str]] = {}
+        for shot in self.shots:
+            alike.setdefault(len(samples[shot.name].values), []).append(shot.name)
+        out = np.ones(len(self.keys))
+        for replicas, names in alike.items():
+            values = np.zeros((replicas, out.size))
+            for name in names:
+                values[:, self.rows[name]] = samples[name].values
+            rows = np.sort(np.concatenate([self.rows[name] for name in names]))
+            metrics = [self.table.metrics[i] for i in rows]
+            out[rows] = scatter(values[:, rows], covariance[np.ix_(rows, rows)], metrics)
+        return out
+
+    def _gathered(self, samples: Sequence[Sampled], replicas: int) -> tuple[Float, Float]:
         """Values (replicas, metrics) and the stated covariance (metrics, metrics) of one campaign."""
         n = len(self.keys)
-        values, covariance = np.zeros((len(samples[0].values), n)), np.zeros((n, n))
+        values, covariance = np.zeros((replicas, n)), np.zeros((n, n))
         columns: dict[int, list[tuple[NDArray[np.intp], Float]]] = {}
         for shot, sample in zip(self.shots, samples, strict=True):
             rows = self.rows[shot.name]
-            values[:, rows] = sample.values
+            values[:, rows] = sample.values[:replicas]
             covariance[np.ix_(rows, rows)] = sample.covariance
             for label, loadings in sample.shared.items():
                 columns.setdefault(label, []).append((rows, loadings))

@@ -11,6 +11,7 @@ from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.effects import catalogue
 from isetval.loop.derivatives import jacobian, nuisance_parameters
+from isetval.loop.gaussian import scatter
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.shot_task import Sampled
 from isetval.loop.telling import Teller
@@ -88,6 +89,22 @@ def test_the_base_is_the_mean_of_its_campaigns(model, plan, table, monkeypatch):
     np.testing.assert_allclose(base.values, values, rtol=1e-9, atol=1e-12)
     stated = np.mean([t.covariance() for t in tables[:4]], axis=0)
     np.testing.assert_allclose(base.covariance, stated * np.outer(base.scale, base.scale), rtol=1e-9, atol=1e-15)
+
+
+def test_error_bars_of_darks_are_known_from_further_replicas(model, plan, table, monkeypatch):
+    """Dark rows are scaled by what all their campaigns scatter, shot one by one; all else is as without the further ones."""
+    monkeypatch.setenv("ISETVAL_CACHE", "off")
+    few, more = (Predictor(plan, table).base(Point(model), 4, darks=darks) for darks in (0, 12))
+    dark = np.array([m.shot == "dark" for m in table.metrics])
+    np.testing.assert_array_equal(more.values, few.values)
+    np.testing.assert_array_equal(more.scale[~dark], few.scale[~dark])
+    tables = [measure_campaign(simulate(model, plan, 7000 + r), choices=table.choices, summaries=False) for r in range(12)]
+    keys = [m.key() for m in table.metrics]
+    values = np.array([[dict(zip((m.key() for m in t.metrics), t.values, strict=True))[k] for k in keys] for t in tables])
+    stated = np.mean([t.covariance() for t in tables[:4]], axis=0)
+    own = [m for m in table.metrics if m.shot == "dark"]
+    np.testing.assert_allclose(more.scale[dark], scatter(values[:, dark], stated[np.ix_(dark, dark)], own), rtol=1e-9)
+    assert np.any(more.scale[dark] != few.scale[dark])
 
 
 def test_samples_survive_packing():
