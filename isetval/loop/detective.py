@@ -256,17 +256,9 @@ def _rivals(case: Investigation, seen: set[Names]) -> list[Hypothesis]:
 def _winner(case: Investigation, seen: set[Names]) -> Hypothesis | None:
     """The most probable hypothesis that was fitted and has what it needs against what stands, or None."""
     wins = [
-        h for h in _rivals(case, seen) if case.score(h) - case.score(case.standing) > _needed(case, h) and _asked_for(case, h)
+        h for h in _rivals(case, seen) if case.score(h) - case.score(case.standing) > _needed(case, h) and case.asks_for(h)
     ]
     return max(wins, key=case.score, default=None)
-
-
-def _asked_for(case: Investigation, other: Hypothesis) -> bool:
-    """Whether data ask for more names in the place of fewer: a form that fits as well does not give way for its length."""
-    stands = case.standing
-    if not stands.names or len(other.names) <= len(stands.names) or other.names > stands.names:
-        return True
-    return stands.fitted.cost - other.fitted.cost > 2 * float(np.log(ODDS))
 
 
 def _needed(case: Investigation, other: Hypothesis) -> float:

@@ -48,7 +48,7 @@ def with_unknown(case: Investigation, *, ask_holdout: bool = True) -> Beside:
     unknown = Unknown.of(stands, there)
     only_here = Unknown.of(stands, {}).log_evidence()
     told = unknown.log_evidence() - only_here
-    logs, freed = as_far_as_fitted(case), dict(case.table.freed)
+    logs, freed = _that_are_asked_for(case, as_far_as_fitted(case)), dict(case.table.freed)
     for names, found in case.known.items():
         if names not in logs:
             continue
@@ -63,6 +63,18 @@ def with_unknown(case: Investigation, *, ask_holdout: bool = True) -> Beside:
             logs[replaced] = base + beside.log_evidence(DIFFERS * _strength(case, found, member.name))
             freed[replaced] = freed[names]
     return Beside(Posterior(logs, freed), unknown)
+
+
+def _that_are_asked_for(case: Investigation, logs: dict[Names, float]) -> dict[Names, float]:
+    """The sum without what was denied for its number of names (`Investigation.asks_for`), and without what contains it.
+
+    A verdict says of what stands how probable it is among what may stand: a fall-off of the fourth power, answered with a form of
+    vignetting, was stated at .01, the rest held by pairs of names that fit no better.
+    """
+    ahead = [h for h in case.known.values() if case.score(h) > case.score(case.standing)]
+    denied = [h.names for h in ahead if not case.asks_for(h)]
+    kept = case.standing.names
+    return {names: log for names, log in logs.items() if names >= kept or not any(names >= other for other in denied)}
 
 
 def as_far_as_fitted(case: Investigation) -> dict[Names, float]:

@@ -37,7 +37,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     """Relative illumination at six radii of each plane, for frames that cover a quarter of the sensor; else no rows.
 
     Radii are about the fitted centre, where the value is 1; the order of the curve is a choice.  ``choices["wanted"]``
-    asks for rows at other radii (``field_x_mm``) instead; a row without a plane is of Gr.
+    asks for rows at other radii (``field_x_mm``) instead; a row without a plane is of both greens together, as an SFR is.
     """
     sensor = captures[0].sensor
     if captures[0].mosaic.size < LEAST_SHARE * sensor.rows * sensor.cols:
@@ -73,14 +73,15 @@ def _as_given(captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
     rows: list[Metric] = []
     for channel in dict.fromkeys(row.channel for row in choices["wanted"]):
         asked = [row for row in choices["wanted"] if row.channel == channel]
-        plane = (channel if channel in planes else "Gr") if len(planes) > 1 else planes[0]
+        own = [channel] if channel in planes else [plane for plane in planes if plane in ("Gr", "Gb")] or planes[:1]
         radius = np.array([row.field_x_mm or 0.0 for row in asked])
         if choices.get("noise_free"):
-            value, sigma = ring_means(captures[0], plane, radius), np.full(radius.size, LEAST_SIGMA)
+            every = [(ring_means(captures[0], plane, radius), np.zeros(radius.size)) for plane in own]
         else:
-            curve = relative_illumination(captures)[plane]
-            value, sigma = curve.at(np.minimum(radius, curve.radius_mm[-1]))
-        sigma = np.maximum(sigma, LEAST_SIGMA)
+            fitted = relative_illumination(captures)
+            every = [fitted[plane].at(np.minimum(radius, fitted[plane].radius_mm[-1])) for plane in own]
+        value = np.mean([v for v, _ in every], axis=0)
+        sigma = np.maximum(np.sqrt(np.sum([s**2 for _, s in every], axis=0)) / len(own), LEAST_SIGMA)
         rows += [replace(row, value=float(v), sigma=float(s)) for row, v, s in zip(asked, value, sigma, strict=True)]
     return Block(tuple(rows))
 
