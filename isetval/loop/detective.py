@@ -22,6 +22,7 @@ from isetval.loop.investigation import (
     CLEAR,
     ODDS,
     Investigation,
+    asked_for,
     rebase,
     weigh_neighbours,
 )
@@ -256,7 +257,9 @@ def _rivals(case: Investigation, seen: set[Names]) -> list[Hypothesis]:
 def _winner(case: Investigation, seen: set[Names]) -> Hypothesis | None:
     """The most probable hypothesis that was fitted and has what it needs against what stands, or None."""
     wins = [
-        h for h in _rivals(case, seen) if case.score(h) - case.score(case.standing) > _needed(case, h) and case.asks_for(h)
+        h
+        for h in _rivals(case, seen)
+        if case.score(h) - case.score(case.standing) > _needed(case, h) and asked_for(case.standing, h)
     ]
     return max(wins, key=case.score, default=None)
 

@@ -113,16 +113,16 @@ class Investigation:
         """ln(Z pi), absolute, with what the hold-out said (not asked: as much as of what stands)."""
         return found.log_evidence + self.log_prior(found.members) + self.told.get(found.names, 0.0)
 
-    def asks_for(self, other: Hypothesis) -> bool:
-        """Whether data ask for more names in the place of fewer: a form that fits as well does not give way for its length."""
-        stands = self.standing
-        if not stands.names or len(other.names) <= len(stands.names) or other.names > stands.names:
-            return True
-        return stands.fitted.cost - other.fitted.cost > 2 * float(np.log(ODDS))
-
     def member(self, name: str) -> Member:
         """The member of that name, in the form in which it stands if it does."""
         return next(m for m in (*self.standing.members, *self.candidates, *self.doubts) if m.name == name)
+
+
+def asked_for(stands: Hypothesis, other: Hypothesis) -> bool:
+    """Whether data ask for more names in the place of fewer: a form that fits as well does not give way for its length."""
+    if not stands.names or len(other.names) <= len(stands.names) or other.names > stands.names:
+        return True
+    return stands.fitted.cost - other.fitted.cost > 2 * float(np.log(ODDS))
 
 
 def named_model(nominal: CameraModel, found: Hypothesis) -> CameraModel:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from isetval.loop.evidence import Hypothesis, least_chi2, linear_model
 from isetval.loop.fit import Fit
-from isetval.loop.investigation import Investigation, named_model
+from isetval.loop.investigation import Investigation, asked_for, named_model
 from isetval.loop.posterior import UNKNOWN, Names, Posterior, like
 from isetval.loop.problem import Problem
 from isetval.loop.subset_sum import weigh
@@ -66,13 +66,13 @@ def with_unknown(case: Investigation, *, ask_holdout: bool = True) -> Beside:
 
 
 def _that_are_asked_for(case: Investigation, logs: dict[Names, float]) -> dict[Names, float]:
-    """The sum without what was denied for its number of names (`Investigation.asks_for`), and without what contains it.
+    """The sum without what was denied for its number of names (`investigation.asked_for`), and without what contains it.
 
     A verdict says of what stands how probable it is among what may stand: a fall-off of the fourth power, answered with a form of
     vignetting, was stated at .01, the rest held by pairs of names that fit no better.
     """
     ahead = [h for h in case.known.values() if case.score(h) > case.score(case.standing)]
-    denied = [h.names for h in ahead if not case.asks_for(h)]
+    denied = [h.names for h in ahead if not asked_for(case.standing, h)]
     kept = case.standing.names
     return {names: log for names, log in logs.items() if names >= kept or not any(names >= other for other in denied)}
 

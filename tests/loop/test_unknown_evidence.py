@@ -10,7 +10,7 @@ from test_subset_sum import SURE_SCALES, model, term
 from isetval.loop.posterior import UNKNOWN, Posterior, like
 from isetval.loop.subset_sum import weigh
 from isetval.loop.unknown_evidence import AMPLITUDES, BOTH, HERE, THERE, Patterns, Unknown, left_by, log_mixture
-from isetval.loop.unknown_members import DIFFERS, ODDS_OF_UNKNOWN, as_far_as_fitted
+from isetval.loop.unknown_members import DIFFERS, ODDS_OF_UNKNOWN, _that_are_asked_for, as_far_as_fitted
 
 ROWS = 60
 RNG = np.random.default_rng(1)
@@ -197,3 +197,18 @@ def test_what_a_fit_denies_of_a_part_it_denies_of_all_that_holds_it():
     assert found[sets["blur+rts"]] == -50.0
     assert Posterior(found, dict.fromkeys(found, 1)).of("blur") < 0.01
     assert case.table.of("blur") > 0.99
+
+
+def test_what_is_denied_for_its_number_of_names_holds_no_probability():
+    """A form that stands, a pair ahead of it that fits no better, one that does: of the first nothing is told, nor of what holds it."""
+    form, pair, triple, better, beside = (frozenset(n.split("+")) for n in ("form", "a+b", "a+b+c", "c+d", "form+a+b"))
+    logs = {form: -63.0, pair: -46.0, triple: -48.0, better: -60.0, beside: -66.0, frozenset({"a"}): -90.0}
+    cost = {form: 50.0, pair: 57.0, better: 40.0}
+
+    def fitted(names):
+        return SimpleNamespace(names=names, score=logs[names], fitted=SimpleNamespace(cost=cost[names]))
+
+    case = SimpleNamespace(known={n: fitted(n) for n in cost}, score=lambda h: h.score, standing=fitted(form))
+    told = _that_are_asked_for(case, logs)
+    assert set(told) == {form, better, beside, frozenset({"a"})}
+    assert all(told[names] == logs[names] for names in told)
