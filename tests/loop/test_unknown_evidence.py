@@ -200,7 +200,7 @@ def test_what_a_fit_denies_of_a_part_it_denies_of_all_that_holds_it():
 
 
 def test_what_is_denied_for_its_number_of_names_holds_no_probability():
-    """A form that stands, a pair ahead of it that fits no better, one that does: of the first nothing is told, nor of what holds it."""
+    """A form stands, ahead of it a pair that fits no better and one that does: the first is not told, nor what holds it."""
     form, pair, triple, better, beside = (frozenset(n.split("+")) for n in ("form", "a+b", "a+b+c", "c+d", "form+a+b"))
     logs = {form: -63.0, pair: -46.0, triple: -48.0, better: -60.0, beside: -66.0, frozenset({"a"}): -90.0}
     cost = {form: 50.0, pair: 57.0, better: 40.0}
