@@ -7,7 +7,7 @@
 # Result: one row per trial (JSON lines), a table of target | measured | n, `reports/hidden_effects.html` and `.json`.
 # Run time: 10 to 100 CPU seconds a trial on the small plan, minutes on the full one.
 #
-#     python analyses/hidden_effects.py --n 500 --resume --jobs 2        # run, sum up, write the page
+#     python analyses/hidden_effects.py --plan small --first 1265 --n 500 --resume --jobs 2   # run, sum up, write the page
 #     python analyses/hidden_effects.py --table                          # the stored table
 #     python analyses/hidden_effects.py --make small-scoring-0004 DIR    # one campaign, to look at
 
@@ -104,7 +104,10 @@ def _run(options):
         wanted = draw.trials(options.first + options.n, seeds=options.seeds, plan=options.plan, kinds=kinds)[options.first :]
     if options.rows.exists() and not options.resume:
         raise SystemExit(f"{options.rows}: holds rows already; add --resume to go on, or name another file with --rows")
-    done = {row["id"] for row in _rows(options.rows)}
+    there = _rows(options.rows)
+    if other := {row["plan"] for row in there} - {options.plan}:
+        raise SystemExit(f"{options.rows}: holds trials of plan {other.pop()}; name another file with --rows and --report")
+    done = {row["id"] for row in there}
     commit = _commit()
     lock, left = Lock(), [t for t in wanted if t.id not in done]
     print(f"{len(wanted)} trials, {len(wanted) - len(left)} of them done", flush=True)

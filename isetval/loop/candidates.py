@@ -55,6 +55,16 @@ class Scale:
         return effect.changed(**{p.name: effect.values()[p.name] * self.charge for p in shapes}) if shapes else effect
 
 
+@dataclass(frozen=True)
+class Held:
+    """A parameter that stands where it was found: value and sigma in its unit, the model's value, ln of what its prior costs."""
+
+    value: float
+    sigma: float
+    nominal: float
+    log_cost: float
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An effect that may be missing, or whose parameters may be wrong.
@@ -63,8 +73,8 @@ class Candidate:
     ``parameters`` are those that are freed, ``nominal`` their values in the model.  Candidates of one effect are forms of one
     class (``name`` says which): a hypothesis holds one of them, and ``prior_weight`` is a form's share of the class's odds.
     ``code_steps`` are what of its parameters, by key, moves the brightest level by one code where it rounds codes anew.
-    ``scale`` is that of the camera; ``held`` are value, sigma and nominal value, by name, of what its curve takes the
-    place of: it stands in the effect and is free no more.
+    ``scale`` is that of the camera; ``held`` is, by name, what its curve takes the place of: it stands in the effect and is free
+    no more.
     """
 
     name: str
@@ -74,7 +84,7 @@ class Candidate:
     prior_weight: float = 1.0
     code_steps: Mapping[str, float] = field(default_factory=dict)
     scale: Scale = Scale()
-    held: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    held: Mapping[str, Held] = field(default_factory=dict)
 
     @property
     def shapes(self) -> tuple[ParameterInfo, ...]:
@@ -87,6 +97,11 @@ class Candidate:
     def keys(self) -> tuple[str, ...]:
         """``effect.parameter`` names."""
         return tuple(f"{self.klass}.{p.name}" for p in self.parameters)
+
+    @property
+    def stands_for(self) -> frozenset[str]:
+        """Keys of what it says of the camera, free or held: a tolerance of the same would say it twice."""
+        return frozenset({*self.keys, *(f"{self.klass}.{name}" for name in self.held)})
 
     @property
     def klass(self) -> str:
@@ -156,6 +171,11 @@ class Doubt:
     def keys(self) -> tuple[str, ...]:
         """It frees nothing of the camera."""
         return ()
+
+    @property
+    def stands_for(self) -> frozenset[str]:
+        """It says nothing of the camera."""
+        return frozenset()
 
     @property
     def loosened(self) -> Parameter:

@@ -13,7 +13,7 @@ from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate, Doubt
 from isetval.loop.code_stair import CODES, on_lowest_step
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.fit import ALIKE, MAX_ITERATIONS, Fit, fit
+from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.gaussian import hessian, inverse, orthonormal_basis, prior_weights, with_priors
 from isetval.loop.prediction import Point
@@ -181,7 +181,7 @@ def fitted_members(
             break
         for label in anew:
             problem.columns.pop(label, None)
-        near = not stated and fitted.chi2 >= ALIKE * problem.keep.size
+        near = fitted.leaves_more
         fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations, stated=stated, near=near)
     for member in members if iterations else ():
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
@@ -232,8 +232,8 @@ def with_longer_steps(fitted: Fit, members: Sequence[Member]) -> tuple[Parameter
 def free_parameters(
     unknowns: Sequence[Parameter], members: Sequence[Member], steps: Mapping[str, float]
 ) -> tuple[Parameter, ...]:
-    """The laboratory's unknowns, without the tolerances of parameters that are free now, and the members' parameters."""
-    keys = {key for m in members for key in m.keys}
+    """The laboratory's unknowns, without tolerances of what members stand for, and the members' parameters."""
+    keys = {key for m in members for key in m.stands_for}
     doubted = {m.parameter.label: m.loosened for m in members if isinstance(m, Doubt)}
     kept = [doubted.get(f.label, f) for f in unknowns if f.key not in keys]
     own = [p for m in members if isinstance(m, Candidate) for p in m.free([steps[key] for key in m.keys])]

@@ -54,6 +54,11 @@ class Fit:
     converged: bool
     pose: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def leaves_more(self) -> bool:
+        """Whether more than `ALIKE` of the stated variance is left."""
+        return self.chi2 >= ALIKE * self.z.size
+
     def value(self, key: str) -> tuple[float, float]:
         """Fitted value and standard deviation of a parameter."""
         i = [f.label for f in self.free].index(key)
@@ -132,7 +137,7 @@ def fit(
         first = _descended(problem, start, free, pose or {}, iterations, families.as_stated())
         if stated:
             return first
-        if first.chi2 < ALIKE * problem.keep.size:
+        if not first.leaves_more:
             pulls = first.chi2 - float(first.z @ first.z)
             return replace(first, cost=families.cost(first.z) + pulls, weight=families.weight(first.z))
     return _descended(problem, start, free, pose or {}, iterations, families)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from isetval.core.effect import ParameterInfo
 from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
-from isetval.loop.candidates import Candidate
+from isetval.loop.candidates import Candidate, Held
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
 from isetval.loop.investigation import BENDS, Investigation
 from isetval.loop.posterior import NOTHING
@@ -66,9 +66,10 @@ def _in_best_form_of(
     lead: float,
     heard: Callable[[Hypothesis], float],
 ) -> Hypothesis:
-    if not (_openings(found, name) and (asked or something_left(case, found))):
+    openings = _openings(found, name)
+    if not (openings and (asked or something_left(case, found))):
         return found
-    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, asked, lead))]
+    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, openings, asked, lead))]
     if len(fits) == 1:
         return found
     scores = {f.fitted: case.score(f) + heard(f) for f in fits}
@@ -76,7 +77,7 @@ def _in_best_form_of(
     chosen = fits[0] if scores[fits[0].fitted] - scores[found.fitted] > CLOSE_LOG_ODDS else found
     null = case.known[NOTHING].log_evidence
     rows = [
-        FormRow(_words(_form(f, name)), tuple(p.name for p in _form(f, name).parameters), _log_evidence(f, found, name) - null)
+        FormRow(_words(_form(f, name)), _free_in(f, name), f.log_evidence + _cost_of_held(f, name) - null)
         for f in (chosen, *(f for f in fits if f is not chosen))
     ]
     if chosen is not found or name not in case.forms:  # asked again at a new base, what was weighed there first stays
@@ -91,11 +92,12 @@ def _form(hypothesis: Hypothesis, name: str) -> Candidate:
     return next(m for m in hypothesis.effects if m.name == name)
 
 
-def _log_evidence(shaped: Hypothesis, own: Hypothesis, name: str) -> float:
-    """Ln Z of an effect in another form than its own, with what the prior of an amplitude costs that is held in it."""
-    form = _form(shaped, name)
-    paid = float(np.log(form.prior_weight / FREE_SHARE / _form(own, name).prior_weight)) if form.held else 0.0
-    return shaped.log_evidence + paid
+def _free_in(hypothesis: Hypothesis, name: str) -> tuple[str, ...]:
+    return tuple(p.name for p in _form(hypothesis, name).parameters)
+
+
+def _cost_of_held(hypothesis: Hypothesis, name: str) -> float:
+    return sum(h.log_cost for h in _form(hypothesis, name).held.values())
 
 
 def _words(candidate: Candidate) -> str:
@@ -139,13 +141,13 @@ def _with_curve_for_amplitude(found: Hypothesis, curved: Candidate) -> Candidate
     (amplitude,), place = amplitudes, labels.index(key)
     parameter = found.fitted.free[place]
     pull = parameter.weight * (found.fitted.values[place] - parameter.center)
-    paid = np.log(found.weighed.covariance[place, place]) / 2 - pull**2 / 2
+    cost = float(np.log(found.weighed.covariance[place, place]) / 2 - pull**2 / 2)
     return replace(
         curved,
         effect=curved.effect.changed(**{amplitude.name: found.values[key]}),
         parameters=tuple(p for p in curved.parameters if p is not amplitude),
-        prior_weight=curved.prior_weight * float(np.exp(paid)),
-        held={amplitude.name: (*found.value(key), parameter.center)},
+        prior_weight=curved.prior_weight * float(np.exp(cost)),
+        held={amplitude.name: Held(*found.value(key), parameter.center, cost)},
     )
 
 
@@ -166,13 +168,14 @@ def something_left(case: Investigation, found: Hypothesis) -> bool:
     )  # a ratio of evidences passes 1/p by chance in p of all cases
 
 
-def _promising(case: Investigation, found: Hypothesis, name: str, asked: bool, lead: float) -> list[Candidate]:
+def _promising(
+    case: Investigation, found: Hypothesis, name: str, openings: Sequence[Candidate], asked: bool, lead: float
+) -> list[Candidate]:
     """Openings whose further parameters promise strong evidence in the linear model about a fit, and enough to matter.
 
     Of an effect that lies far behind the ``lead`` no form is asked for that would have to gain more than the linear
     model can be wrong by; where it is ``asked`` for in the place of another name, the best is worth a fit.
     """
-    openings = _openings(found, name)
     widest = openings[-1]
     more = [p for p in widest.parameters if p not in _form(found, name).parameters]
     columns = dict(zip((p.name for p in more), _columns(case, found, widest, more).T, strict=True))

@@ -223,7 +223,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
             for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
         }
         units = {p.name: p.unit for p in candidate.effect.parameters()}
-        parameters |= {name: NamedParameter(v, s, units[name], nominal) for name, (v, s, nominal) in candidate.held.items()}
+        parameters |= {name: NamedParameter(h.value, h.sigma, units[name], h.nominal) for name, h in candidate.held.items()}
         others = like[candidate.name].names
         alike = {candidate.klass, *others}
         chance, low, high = beside.table.of_class(*(c.name for c in case.candidates if c.klass in alike))

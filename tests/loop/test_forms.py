@@ -11,13 +11,14 @@ from isetval.camera.chain import ShotSetup
 from isetval.camera.model_file import make_effect
 from isetval.core.campaign import Light, Shot
 from isetval.core.metric import Metric
+from isetval.core.parameter import Parameter
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import candidates_for
 from isetval.loop.curve_campaign import curve_campaign
-from isetval.loop.evidence import Hypothesis
+from isetval.loop.evidence import Hypothesis, free_parameters
 from isetval.loop.fit import Fit
 from isetval.loop.forms import _openings, something_left
 from isetval.loop.given_side import in_large_pixels, shoot
@@ -54,7 +55,13 @@ def test_a_curve_takes_the_place_of_the_amplitude_that_it_multiplies(camera):
     assert [p.name for p in curve.parameters][:2] == ["free_1", "free_2"]
     assert [p.name for p in both.parameters][:2] == ["r0", "free_1"]
     assert curve.effect.v == value
-    assert curve.held == {"v": (value, sigma, 0.0)}
+    held = curve.held["v"]
+    assert (held.value, held.sigma, held.nominal) == (value, sigma, 0.0)
+    # what stands in the effect is said there, and by no tolerance of the laboratory beside it
+    tolerance = Parameter("v", "vignetting", scope="campaign", prior=0.01)
+    other = Parameter("light_level", scope="campaign", prior=0.01)
+    assert free_parameters([tolerance, other], [curve], dict.fromkeys(curve.keys, 0.1))[0] is other
+    assert free_parameters([tolerance, other], [], {}) == (tolerance, other)
     # the prior of the amplitude is paid as before: a density of N(value; 0, tau) over the width of what was found
     tau = float(candidate.tau[0])
     paid = sigma / tau * np.exp(-((value / tau) ** 2) / 2)

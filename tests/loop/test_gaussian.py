@@ -26,9 +26,8 @@ def test_whitening_and_squares_agree_with_the_inverse():
     rng = np.random.default_rng(1)
     c = covariance(rng)
     r = rng.standard_normal(N) * np.sqrt(np.diag(c))
-    assert squares(r[:, None], c)[0] == pytest.approx(
-        r @ np.linalg.solve(c, r), rel=1e-5
-    )  # a jitter of 1e-9 on a condition of 1e4
+    # a jitter of 1e-9 on a condition of 1e4
+    assert squares(r[:, None], c)[0] == pytest.approx(r @ np.linalg.solve(c, r), rel=1e-5)
     assert log_determinant(c) == pytest.approx(np.linalg.slogdet(c)[1], rel=1e-12)
 
 

@@ -70,15 +70,15 @@ def _as_given(captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
     not.
     """
     planes = planes_of(captures[0])
+    fitted = None if choices.get("noise_free") else relative_illumination(captures)
     rows: list[Metric] = []
     for channel in dict.fromkeys(row.channel for row in choices["wanted"]):
         asked = [row for row in choices["wanted"] if row.channel == channel]
         own = [channel] if channel in planes else [plane for plane in planes if plane in ("Gr", "Gb")] or planes[:1]
         radius = np.array([row.field_x_mm or 0.0 for row in asked])
-        if choices.get("noise_free"):
+        if fitted is None:
             every = [(ring_means(captures[0], plane, radius), np.zeros(radius.size)) for plane in own]
         else:
-            fitted = relative_illumination(captures)
             every = [fitted[plane].at(np.minimum(radius, fitted[plane].radius_mm[-1])) for plane in own]
         value = np.mean([v for v, _ in every], axis=0)
         sigma = np.maximum(np.sqrt(np.sum([s**2 for _, s in every], axis=0)) / len(own), LEAST_SIGMA)
