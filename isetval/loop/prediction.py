@@ -25,7 +25,7 @@ from isetval.core.metric import Differences, MetricTable
 from isetval.core.number_store import NumberStore
 from isetval.core.scene import ChartTarget, RenderedTarget
 from isetval.core.sensor import Roi
-from isetval.loop.gaussian import scatter
+from isetval.loop.base import Base, gathered, scattered
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
 from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part, sample_of, vectors_of
@@ -55,28 +55,6 @@ class Point:
 
     model: CameraModel
     values: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Base:
-    """Mean and covariance of the metrics at the nominal point, from ``replicas`` simulated campaigns.
-
-    ``values`` is (replicas, metrics); ``covariance`` (metrics, metrics) is of one campaign, scaled by
-    family and shot to the scatter that the replicas show; ``scale`` (metrics,) holds those factors of sigma.  ``render`` is
-    the part of its diagonal, (metrics,), that comes from the noise of renders.  ``samples`` are the replicas shot by shot.
-    """
-
-    mean: Float
-    covariance: Float
-    values: Float
-    scale: Float
-    render: Float | float = 0.0
-    samples: Mapping[str, Sampled] = field(default_factory=dict)
-
-    @property
-    def replicas(self) -> int:
-        """Number of simulated campaigns."""
-        return len(self.values)
 
 
 class Predictor:
@@ -299,43 +277,12 @@ class Predictor:
         for group, vector in zip(groups, self.known_or_made(sample_of, groups, [(count,)] * len(groups)), strict=True):
             name = group[0].setup.shot.name
             samples[name] = Sampled.unpacked(vector).only(self.pick[name])
-        values, covariance = self._gathered([samples[shot.name] for shot in self.shots], replicas)
-        scale = self._scatter(samples, measured_only(covariance, self.table))
+        placed = [(self.rows[shot.name], samples[shot.name]) for shot in self.shots]
+        values, covariance = gathered(placed, replicas, len(self.keys))
+        scale = scattered(placed, measured_only(covariance, self.table), self.table.metrics)
         rendered = self._of_renders(every[0])
         covariance = with_stated_covariance(covariance * np.outer(scale, scale) + rendered, self.table, replicas)
         return Base(values.mean(axis=0), covariance, values, scale, np.diag(rendered), samples)
-
-    def _scatter(self, samples: Mapping[str, Sampled], covariance: Float) -> Float:
-        """Ratio (metrics,) of the scatter of replicas to the stated covariance, of shots of which there are as many together."""
-        alike: dict[int, list[str]] = {}
-        for shot in self.shots:
-            alike.setdefault(len(samples[shot.name].values), []).append(shot.name)
-        out = np.ones(len(self.keys))
-        for replicas, names in alike.items():
-            values = np.zeros((replicas, out.size))
-            for name in names:
-                values[:, self.rows[name]] = samples[name].values
-            rows = np.sort(np.concatenate([self.rows[name] for name in names]))
-            metrics = [self.table.metrics[i] for i in rows]
-            out[rows] = scatter(values[:, rows], covariance[np.ix_(rows, rows)], metrics)
-        return out
-
-    def _gathered(self, samples: Sequence[Sampled], replicas: int) -> tuple[Float, Float]:
-        """Values (replicas, metrics) and the stated covariance (metrics, metrics) of one campaign."""
-        n = len(self.keys)
-        values, covariance = np.zeros((replicas, n)), np.zeros((n, n))
-        columns: dict[int, list[tuple[NDArray[np.intp], Float]]] = {}
-        for shot, sample in zip(self.shots, samples, strict=True):
-            rows = self.rows[shot.name]
-            values[:, rows] = sample.values[:replicas]
-            covariance[np.ix_(rows, rows)] = sample.covariance
-            for label, loadings in sample.shared.items():
-                columns.setdefault(label, []).append((rows, loadings))
-        for parts in columns.values():
-            rows = np.concatenate([rows for rows, _ in parts])
-            loadings = np.hstack([part for _, part in parts])
-            covariance[np.ix_(rows, rows)] += loadings.T @ loadings / len(loadings)
-        return values, covariance
 
     def _of_renders(self, tasks: list[ShotPart]) -> Float:
         """Covariance from the noise of renders, which all replicas share and so do not show."""

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
+from isetval.loop.base import Base
 from isetval.loop.block_factor import Factor
 from isetval.loop.family_scales import Families
-from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
+from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.shot_task import Sampled
 from isetval.loop.shoulder import Filling
 

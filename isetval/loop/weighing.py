@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
 from isetval.core.metric import MetricTable
+from isetval.loop.base import Base
 from isetval.loop.block_factor import UNWEIGHED, factor, gram
 from isetval.loop.gaussian import towards_one, true_scatter
 from isetval.loop.given_side import given_rows
 from isetval.loop.marginal_columns import marginal_columns
-from isetval.loop.prediction import DERIVATIVE_SEEDS, Base, Point, Predictor
+from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.problem import Problem, Replicas
 from isetval.loop.shot_task import Sampled
 from isetval.loop.shoulder import filling

@@ -9,6 +9,7 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
+from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import WIDER, candidates_for, doubts_for
 from isetval.loop.derivatives import nuisance_parameters
@@ -17,7 +18,7 @@ from isetval.loop.evidence import hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, weigh_neighbours
 from isetval.loop.posterior import NOTHING
-from isetval.loop.prediction import Base, Point
+from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
 from isetval.loop.signatures import Signature

@@ -10,12 +10,13 @@ import pytest
 from isetval.camera.model_file import load_model
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
+from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import difference_of_both, jacobian
 from isetval.loop.family_scales import dof_of
 from isetval.loop.fit import far_values, fit, moved_far
 from isetval.loop.fit_state import FitState, walked
-from isetval.loop.prediction import Base, Point
+from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.valleys import deepest

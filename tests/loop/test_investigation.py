@@ -10,6 +10,7 @@ import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
+from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
@@ -19,7 +20,7 @@ from isetval.loop.fit import fit
 from isetval.loop.hold_out import ask_holdout
 from isetval.loop.investigation import Investigation, _stands, fitted_jointly, rebase, weigh_neighbours
 from isetval.loop.posterior import NOTHING
-from isetval.loop.prediction import Base, Point
+from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
 from isetval.loop.shortlist import _proposals, of_several_classes

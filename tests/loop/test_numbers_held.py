@@ -7,11 +7,11 @@ import pytest
 
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
+from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.evidence import linear_model
 from isetval.loop.family_scales import Families
 from isetval.loop.gaussian import TOWARDS_ONE
-from isetval.loop.prediction import Base
 from isetval.loop.problem import Problem
 from isetval.loop.subset_sum import Term, weigh_all
 from isetval.loop.weighing import weigh

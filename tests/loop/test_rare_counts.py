@@ -8,7 +8,7 @@ from scipy.stats import norm, poisson
 
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
-from isetval.loop.prediction import Base
+from isetval.loop.base import Base
 from isetval.loop.problem import Problem
 from isetval.loop.weighing import weigh
 

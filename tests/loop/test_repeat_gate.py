@@ -10,10 +10,11 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
+from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
-from isetval.loop.prediction import Base, Point
+from isetval.loop.prediction import Point
 from isetval.loop.prepared import gate_with, repeat_gate
 from isetval.loop.problem import Problem
 

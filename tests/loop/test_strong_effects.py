@@ -12,13 +12,14 @@ from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
+from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import Candidate, candidates_for
 from isetval.loop.evidence import first_values, hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
 from isetval.loop.posterior import NOTHING
-from isetval.loop.prediction import Base, Point
+from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
 from isetval.loop.signatures import signatures

@@ -9,12 +9,13 @@ import isetval
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.toml import data_folder
+from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.evidence import hypothesis, refit
 from isetval.loop.fit import fit
-from isetval.loop.prediction import Base, Point
+from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame, score
 from isetval.loop.signatures import Signature
