@@ -25,6 +25,7 @@ STRAIGHT = (
 )
 LONG = 2 * STRAIGHT  # beyond which a step is shortened
 SHORTER = 4.0  # by which steps of light are shortened where rows come out otherwise than derivatives foretold
+SHORTEST = 2e-3  # of light: a fifth of the 1 % over which a full well's shoulder bends; means that are rounded anew move by .3e-3
 
 
 def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Parameter, ...]:
@@ -75,7 +76,8 @@ def jacobian(
     if unknown:
         some = bool(problem.columns)
         felt = replace(problem, predictor=problem.predictor.that_feel({f.label for f in unknown})) if some else problem
-        problem.columns |= {f.label: Column(s, here) for f, s in zip(unknown, _local(felt, point, unknown), strict=True)}
+        slopes_here = zip(unknown, _local(felt, point, unknown), strict=True)
+        problem.columns |= {f.label: Column(_with_rows_of_whole_steps(problem, f.label, s), here) for f, s in slopes_here}
     effects = [f for f in free if not f.is_nuisance]
     focus = [f for f in free if f.focus]
     own = dict(zip((f.label for f in effects), slopes(problem, point, effects, both_sides, focus), strict=True))
@@ -105,8 +107,8 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
     part = problem.predictor.that_feel({k for f in stale for k in moved[f.label]})
     whole = part is problem.predictor
     here = {k: point.values.get(k, 0.0) for k in problem.columns}
-    for f, slope in zip(stale, _local(replace(problem, predictor=part), point, stale), strict=True):
-        old = problem.columns[f.label]
+    for f, taken in zip(stale, _local(replace(problem, predictor=part), point, stale), strict=True):
+        slope, old = _with_rows_of_whole_steps(problem, f.label, taken), problem.columns[f.label]
         problem.columns[f.label] = (
             Column(slope, here)
             if whole
@@ -115,16 +117,23 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
 
 
 def take_shorter_steps(problem: Problem, free: Sequence[Parameter], rows: Float) -> None:
-    """Forget columns of light and the like that have a part in whitened ``rows``: the next are taken in a quarter of the step.
+    """Forget columns of light levels that have a part in whitened ``rows`` of means: the next are taken in a quarter of the step.
 
     A level that ends on a plateau (full well below the converter's end) rises on one side of it only: its slope over a whole
-    tolerance of the light is that of neither side, and a fit that believes it ends where the light is 25 sigmas off.
+    tolerance of the light is that of neither side, and a fit that believes it ends where the light is 25 sigmas off.  Means alone
+    are differenced so, and levels alone: rows that noise rounds anew scatter the more the shorter the step.
     """
     for f, column in zip(free, rows.T, strict=True):
         step = problem.steps.get(f.label, f.step)
-        if f.is_nuisance and f.unit == "relative" and not f.patch and step > LEAST_FACTOR and np.any(column):
-            problem.steps[f.label] = max(step / SHORTER, LEAST_FACTOR)
-            problem.columns.pop(f.label, None)
+        if f.is_nuisance and f.factor and not f.patch and step > SHORTEST and np.any(column):
+            problem.steps[f.label] = max(step / SHORTER, SHORTEST)
+            if column_of := problem.columns.pop(f.label, None):
+                problem.whole.setdefault(f.label, column_of)
+
+
+def _with_rows_of_whole_steps(problem: Problem, label: str, slope: Float) -> Float:
+    """The slope of a nuisance, the rows that scatter over a whole step where the step was shortened."""
+    return np.where(problem.means, slope, problem.whole[label].slope) if label in problem.whole else slope
 
 
 def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> list[Float]:

@@ -189,7 +189,7 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     end leaves of a linear one what looks like more dark current.  The hold-out is asked of both: of a fall-off in five windows a
     curve and a shadow in one of them say the same, and the shadow alone had its word.
     """
-    if not (case.standing.effects and better.names > case.standing.names):
+    if not (case.standing.effects and len(better.effects) > len(case.standing.effects)):
         return better
     words: dict[Fit, float] = {}
 

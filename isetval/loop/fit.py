@@ -161,7 +161,7 @@ def _descended(
         moved = state.moved(problem, start, free, step)
         fell = state.cost - moved.cost
         foretold_wrong = np.abs(moved.z - state.stepped(matrix, moved.values - state.values).z) > FORETOLD
-        take_shorter_steps(problem, free, matrix[foretold_wrong])
+        take_shorter_steps(problem, free, matrix[foretold_wrong & problem.means[problem.keep]])
         failures = 0 if fell > state.rounding else failures + 1
         if fell > 0 or is_closer(matrix, moved, state):
             state = moved

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ class Problem:
     captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
     scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.  ``numbers`` are what squares of a
     true model's whitened rows sum to, by family.
-    ``steps`` are shortened finite steps of nuisances, by label; ``filling`` says which levels are full
+    ``steps`` are shortened finite steps of nuisances, by label, and ``whole`` their columns over the whole step; ``filling`` says which levels are full
     (`isetval.loop.shoulder`).
     """
 
@@ -61,6 +62,7 @@ class Problem:
     columns: dict[str, Column] = field(default_factory=dict)
     replicas: Mapping[str, Replicas] = field(default_factory=dict)
     steps: dict[str, float] = field(default_factory=dict)
+    whole: dict[str, Column] = field(default_factory=dict)
     noise_bias: Float | float = 0.0
     color_variance: Float | float = 0.0
     unseen: Float = field(default_factory=lambda: np.zeros((0, 0)))
@@ -81,6 +83,11 @@ class Problem:
     def families(self) -> Families:
         """Families of the kept rows, as the whitening leaves them: it is triangular."""
         return Families.of([self.predictor.table.metrics[i].family for i in self.keep], self.numbers)
+
+    @cached_property
+    def means(self) -> NDArray[np.bool_]:
+        """Rows (metrics,) that are mean levels of flats."""
+        return np.array([m.name == "mean" for m in self.predictor.table.metrics], bool)
 
     def predict(self, points: Sequence[Point]) -> list[Float]:
         """Predictions (metrics,): the base plus differences with common random numbers."""
