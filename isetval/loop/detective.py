@@ -183,7 +183,7 @@ def _investigate(case: Investigation, say: Say) -> None:
 
 
 def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypothesis:
-    """What should stand: where it adds a name to what stands, that in another form, if the name has not 19 to 1 against it.
+    """What should stand: where it has more names than what stands, that in another form, if they have not 19 to 1 against it.
 
     What is left over may be too little to be seen as such, and enough for a name that goes with it: a warm-up that comes to an
     end leaves of a linear one what looks like more dark current.  The hold-out is asked of both: of a fall-off in five windows a

@@ -46,8 +46,8 @@ class Problem:
     captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
     scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.  ``numbers`` are what squares of a
     true model's whitened rows sum to, by family.
-    ``steps`` are shortened finite steps of nuisances, by label, and ``whole`` their columns over the whole step; ``filling`` says which levels are full
-    (`isetval.loop.shoulder`).
+    ``steps`` are shortened finite steps of nuisances, by label, and ``whole`` their columns over the whole step; ``filling``
+    says which levels are full (`isetval.loop.shoulder`).
     """
 
     predictor: Predictor

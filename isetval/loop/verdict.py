@@ -30,9 +30,9 @@ from isetval.loop.unknown_members import Beside, with_unknown
 Float = NDArray[np.float64]
 Say = Callable[[str], None]
 FLAGGED_BESIDE, FLAGGED_ALONE = 0.5, 0.95
-"""Probability of something unknown from which on it is said: a name claims to be the whole story while that is likelier than
-not; where nothing is named it is an alarm, which needs the 19 to 1 that names need (under a true model the evidence of
-something unknown has the mean 1: it passes 133, which the prior odds of 1 to 7 ask for, in less than 1 % of cases)."""
+"""Probability from which on it is said that something is left: of something unknown, beside a name, which claims to be the
+whole story while that is likelier than not; of anything at all, where nothing is named, against the 19 to 1 that names need
+(of 97 true cameras the surest that something was missing was so by .948)."""
 TOLD = 0.8  # share of the evidence of something unknown that its kinds are told up to
 MAX_TOLD = 5
 ALPHA = 0.01  # false alarms in a true model, all candidates or all unknowns of the laboratory together
@@ -123,9 +123,19 @@ def _settings(case: Investigation) -> dict[str, Any]:
 
 
 def _words_left(case: Investigation, beside: Beside) -> list[str]:
-    """What is left over beside what is named; nothing where that is less likely than `FLAGGED_BESIDE` or `FLAGGED_ALONE`."""
-    flagged = beside.table.unknown > (FLAGGED_BESIDE if case.standing.effects else FLAGGED_ALONE)
+    """What is left over beside what is named, where that is likelier than not; without a name, where anything is sure to be."""
+    table = beside.table
+    flagged = table.unknown > FLAGGED_BESIDE if case.standing.effects else is_alarm(table) and not _known_is_likelier(table)
     return _words_of(beside.unknown) if flagged else []
+
+
+def is_alarm(table: Posterior) -> bool:
+    """Whether a camera of which nothing is named is not to be called consistent."""
+    return table.nothing < 1 - FLAGGED_ALONE
+
+
+def _known_is_likelier(table: Posterior) -> bool:
+    return 1 - table.nothing - table.unknown > table.unknown
 
 
 def something_unknown(case: Investigation) -> bool:
@@ -134,13 +144,12 @@ def something_unknown(case: Investigation) -> bool:
 
 
 def unconfirmed(stands: Names, table: Posterior) -> list[str]:
-    """That the sum is sure of something it knows and no fit found enough to name it, in words: no camera is consistent then."""
-    sure = 1 - table.nothing - table.unknown
-    if stands or sure <= FLAGGED_ALONE:
+    """That the sum knows what is missing and no fit found enough to name it, in words: no camera is consistent then."""
+    if stands or not is_alarm(table) or not _known_is_likelier(table):
         return []
     names = {name for subset in table.logs for name in subset if not name.startswith(UNKNOWN)}
     likeliest = max(sorted(names), key=table.of)
-    return [f"{likeliest} is missing by derivatives (probability {table.of(likeliest):.3f}), which no fit confirmed"]
+    return [f"{likeliest} may be missing (probability {table.of(likeliest):.3f}), which no fit confirmed"]
 
 
 def _words_of(unknown: Unknown) -> list[str]:

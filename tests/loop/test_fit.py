@@ -12,7 +12,7 @@ from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
-from isetval.loop.derivatives import difference_of_both, jacobian
+from isetval.loop.derivatives import difference_of_both, jacobian, take_shorter_steps
 from isetval.loop.family_scales import dof_of
 from isetval.loop.fit import far_values, fit, moved_far
 from isetval.loop.fit_state import FitState, walked
@@ -357,3 +357,38 @@ def test_a_level_on_a_plateau_does_not_hold_the_light_where_it_was_stated(light)
     found = fit(case, Point(SimpleNamespace()), free)
     assert found.converged
     assert found.value("light_level@campaign:")[0] == pytest.approx(light, abs=2e-4)
+
+
+class RoundedPlateau(Plateau):
+    """The same with a variance of each level, whose noise is rounded anew by every step, and a tilt of the light beside it."""
+
+    table = SimpleNamespace(
+        metrics=[Metric("mean", 0.0, 1.0, "DN", family="flat_mean")] * 6
+        + [Metric("temporal_variance", 0.0, 1.0, "DN2", family="flat_temporal_variance")] * 6
+    )
+
+    @staticmethod
+    def at(values):
+        light, tilt = (*values, 0.0)[:2]
+        rounded = np.sin(1e7 * np.arange(1, 7) * (light + tilt))
+        return np.concatenate([Plateau.at([light + 0.01 * tilt]), 100.0 * (1 + light) + rounded])
+
+
+def test_shorter_steps_are_for_levels_and_means():
+    """What noise scatters by over a step, a quarter of it scatters four times as much: steps of shapes and rows of noise stay."""
+    free = tuple(
+        Parameter(name, scope="campaign", unit="relative", prior=0.02, step=0.02, low=-1.0, factor=name == "light_level")
+        for name in ("light_level", "light_tilt_x")
+    )
+    camera = RoundedPlateau(tuple(f.name for f in free))
+    nominal, variance = camera.at([0.0]), np.ones(12)
+    base = Base(nominal, np.diag(variance), np.zeros((16, 12)), variance)
+    case = Problem(camera, Point(SimpleNamespace()), base, nominal, np.arange(12), factor(np.eye(12)), nominal, base.covariance)
+    whole = jacobian(case, Point(SimpleNamespace()), free)
+    take_shorter_steps(case, free, whole[:6])
+    assert set(case.steps) == {free[0].label}
+    short = jacobian(case, Point(SimpleNamespace()), free)
+    np.testing.assert_array_equal(short[6:], whole[6:])
+    np.testing.assert_array_equal(short[:, 1], whole[:, 1])
+    top = [(camera.at([h])[5] - nominal[5]) / h for h in (-0.02, -0.005)]
+    assert [whole[5, 0], short[5, 0]] == pytest.approx(top)

@@ -8,7 +8,7 @@ import pytest
 from isetval.core.metric import Metric
 from isetval.loop.posterior import Posterior, like
 from isetval.loop.unknown import patterns_of
-from isetval.loop.verdict import unconfirmed
+from isetval.loop.verdict import is_alarm, unconfirmed
 
 N = 40
 RADIUS_MM = np.linspace(0.0, 3.0, N)
@@ -53,7 +53,11 @@ def test_what_the_sum_is_sure_of_and_no_fit_confirmed_is_said():
     freed = {nothing: 0, a: 1, pair: 2, strange: 0}
     sure = Posterior({nothing: 0.0, a: -4.0, pair: 7.0, strange: -1.0}, freed)
     (words,) = unconfirmed(nothing, sure)
-    assert words.startswith(f"a is missing by derivatives (probability {sure.of('a'):.3f})")
+    assert words.startswith(f"a may be missing (probability {sure.of('a'):.3f})")
     assert unconfirmed(a, sure) == []  # it stands: the verdict names it
     assert unconfirmed(nothing, Posterior({nothing: 0.0, a: -4.0, pair: 0.0, strange: -1.0}, freed)) == []
     assert unconfirmed(nothing, Posterior({nothing: 0.0, a: -4.0, pair: 0.0, strange: 9.0}, freed)) == []  # said as unknown
+    split = Posterior({nothing: 0.0, a: -4.0, pair: 4.0, strange: 3.0}, freed)  # neither is sure, but that one of them is
+    assert is_alarm(split)
+    assert unconfirmed(nothing, split)
+    assert not is_alarm(Posterior({nothing: 0.0, a: 2.0, strange: 1.0}, freed))
