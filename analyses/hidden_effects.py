@@ -42,6 +42,12 @@ def main(words=None):
 
         calibrate(NOMINAL, options.plan, options.lens)
         return 0
+    if options.nearest:
+        from hidden_trials.draw import NOMINAL
+        from hidden_trials.nearest import measure
+
+        measure(NOMINAL, options.plan, options.lens)
+        return 0
     if options.predict:
         from hidden_trials.predicted import predict
 
@@ -84,7 +90,8 @@ def _options(words):
     parser.add_argument("--scales", action="store_true", help="print how well error bars are known, from the nulls of the rows")
     parser.add_argument("--calibrate", action="store_true", help="measure how strongly effects stand out in a plan")
     parser.add_argument("--predict", action="store_true", help="store the confusions that identify predicts for a plan")
-    parser.add_argument("--lens", choices=("open", "stopped"), default="open", help="setting of the lens to calibrate")
+    parser.add_argument("--nearest", action="store_true", help="measure what of each outsider no effect explains in a plan")
+    parser.add_argument("--lens", choices=("open", "stopped"), default="open", help="setting of the lens to measure in")
     parser.add_argument("--make", nargs=2, metavar=("ID", "DIR"), help="write one trial's campaign and its truth")
     return parser.parse_args(words)
 

@@ -61,16 +61,24 @@ class Calibration:
         found = {m.key(): v for m, v in zip(table.metrics, table.values, strict=True)}
         return np.array([found.get(m.key(), np.nan) for m in self.prepared.table.metrics])
 
-    def sigmas(self, concealed, strength):
-        """s of the effect at a strength: root of the mean product of two specimens' profiled differences."""
+    def differences(self, concealed, strength):
+        """What the effect changes in three specimens, whitened and profiled."""
         hidden = {concealed.key: concealed.parameters(strength, self.camera)}
         parts = []
         for seed, null in zip(SEEDS, self.null, strict=True):
             values = self._values(self._shot(f"{concealed.key}_{strength:.6g}_{seed}", hidden, seed))
             white = self.problem.whitened(np.nan_to_num(values - null))
             parts.append(self.frame.profiled(white[:, None])[:, 0])
-        products = [float(a @ b) for a, b in combinations(parts, 2)]
-        return math.sqrt(max(float(np.mean(products)), 0.0))
+        return parts
+
+    def sigmas(self, concealed, strength):
+        """s of the effect at a strength."""
+        return math.sqrt(max(common_square(self.differences(concealed, strength)), 0.0))
+
+
+def common_square(parts):
+    """Squared length of what vectors (n,) have in common: the mean product of two of them, which noise of each drops out of."""
+    return float(np.mean([float(a @ b) for a, b in combinations(parts, 2)]))
 
 
 def s_at_one(calibration, concealed):

@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from hidden_trials.nearest import tells_apart
+
 KINDS = ("null", "single", "pair", "form", "outsider")
 QUIET = ("consistent", "no answer")
 UNFLAGGED = "named without a flag"
@@ -73,8 +75,14 @@ def targets(rows):
         ("wrong forms: class right, no second name (detected)", ">= 90 %", share(seen(form), lambda r: r[1]["right"])),
         ("outsiders named without a flag (s >= 8)", "<= 5 %", share(out_strong, unflagged)),
         ("outsiders flagged or named rightly (s >= 8)", ">= 90 %", share(out_strong, lambda r: r[1]["right"])),
+        ("  of those 5 sigmas from any effect: no flag", "<= 5 %", share(filter_told(out_strong), unflagged)),
         ("95 % intervals that hold the truth", "92 to 97 %", share(pulls(rows), lambda p: abs(p[1]) <= 1.96)),
     ]  # fmt: skip
+
+
+def filter_told(rows):
+    """Outsiders of which the nearest effect leaves enough to be seen: any other is named as that effect by whoever looks."""
+    return [r for r in rows if tells_apart(r[0])]
 
 
 def pulls(rows):

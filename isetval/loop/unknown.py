@@ -37,6 +37,7 @@ GROUPS = {
     "patch": "patch",
     "setup": "set-up",
     "region": "region",
+    "place": "place",
 }
 MAX_PER_GROUP = 40  # labels of one condition: more (every region of a scene) would drown the others in look-elsewhere
 RIPPLES = (1, 2)  # periods from the middle to the corner: fringes of three and more need more radii than plans have
@@ -65,8 +66,14 @@ class Conditions:
         return cls(
             np.array([m.family for m in metrics]),
             {name: _axis(metrics, name) for name in AXES},
-            {name: np.array([str(getattr(m, name)) for m in metrics]) for name in GROUPS},
+            {name: np.array([_label(m, name) for m in metrics]) for name in GROUPS},
         )
+
+
+def _label(metric: Metric, group: str) -> str:
+    if group != "place":
+        return str(getattr(metric, group))
+    return "" if metric.field_x_mm is None else f"({metric.field_x_mm:.1f}, {metric.field_y_mm or 0.0:.1f}) mm"
 
 
 def _axis(metrics: Sequence[Metric], name: str) -> Float:
@@ -116,13 +123,19 @@ def _ripples(conditions: Conditions, family: str, member: NDArray[np.bool_], bas
 
 
 def _groups(conditions: Conditions, family: str, member: NDArray[np.bool_], base: Float) -> Iterator[Template]:
+    """One label of each condition apart; rows that several conditions set apart are named by the first of them."""
+    known: set[bytes] = set()
     for name, words in GROUPS.items():
         labels = conditions.groups[name]
         found = [label for label in dict.fromkeys(labels[member]) if label]
         if not 1 < len(found) <= MAX_PER_GROUP:
             continue
         for label in found:
-            yield Template(f"{family} differs for {words} {label}", np.where(labels == label, base, 0.0), family)
+            apart = member & (labels == label)
+            if apart.tobytes() in known:
+                continue
+            known.add(apart.tobytes())
+            yield Template(f"{family} differs for {words} {label}", np.where(apart, base, 0.0), family)
             if name == "orientation":
                 yield Template(
                     f"{family} of {label} edges differs and grows with field radius",

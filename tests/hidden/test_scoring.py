@@ -5,6 +5,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ANALYSES = Path(__file__).resolve().parents[2] / "analyses"
@@ -12,7 +13,9 @@ sys.path.insert(0, str(ANALYSES))
 
 import hidden_effects  # noqa: E402
 from hidden_trials import draw  # noqa: E402
+from hidden_trials.calibrate import common_square  # noqa: E402
 from hidden_trials.judge import judged  # noqa: E402
+from hidden_trials.nearest import tells_apart  # noqa: E402
 from hidden_trials.run import changes_bits  # noqa: E402
 from hidden_trials.summary import interval, summary, table_lines  # noqa: E402
 
@@ -131,3 +134,21 @@ def test_a_campaign_without_a_changed_bit_is_known_as_such(log, changes):
     """A converter table that moves no code by a half, and one that moves some by two."""
     row = {"plan": "small", "lens": "open", "seed": 3, "hidden": {"linearization_table": {"log": log}}}
     assert changes_bits(row) is changes
+
+
+def test_what_specimens_have_in_common_holds_no_noise_of_each():
+    """Three vectors of length 20 along one direction, in noise whose own length is 30."""
+    rng, common = np.random.default_rng(3), 20.0 * np.eye(900)[0]
+    found = [common_square([common + rng.normal(size=900) for _ in range(3)]) for _ in range(50)]
+    assert np.mean(found) == pytest.approx(400.0, abs=4 * np.std(found) / np.sqrt(50))
+    assert np.std(found) < 60
+
+
+def test_a_stranger_is_asked_for_where_the_plan_tells_it_from_every_effect(tmp_path):
+    stored = tmp_path / "nearest.json"
+    stored.write_text(json.dumps({"small/open": {"twin": {"left": 0.1}, "stranger": {"left": 0.7}}}), encoding="utf-8")
+    row = {"plan": "small", "lens": "open", "hidden": {"stranger": {}}, "expected_s": [8.0]}
+    assert tells_apart(row, path=stored)
+    assert not tells_apart(row | {"expected_s": [7.0]}, path=stored)
+    assert not tells_apart(row | {"hidden": {"twin": {}}}, path=stored)
+    assert tells_apart(row | {"plan": "full"}, path=stored) is None  # never measured

@@ -1,5 +1,6 @@
 """Patterns without physics that stand out of what is left over."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -36,6 +37,25 @@ def test_radial_fringes_are_described_as_ripples():
     found = patterns_of(problem())
     along = found.white.T @ wave / np.linalg.norm(found.white, axis=0)
     assert found.words[np.argmax(abs(along))] == "flat_mean ripples along field radius, 2 periods (sine)"
+
+
+def test_a_window_of_a_shot_of_its_own_has_a_pattern():
+    """Light through a slit of the body in one field window of five: no region has a name there, it was answered with a glow."""
+    found = patterns_of(problem())
+    (one,) = (i for i, words in enumerate(found.words) if words == "flat_mean differs for place (1.5, 0.0) mm")
+    assert np.flatnonzero(found.white[:, one]).tolist() == np.flatnonzero(np.round(RADIUS_MM, 1) == 1.5).tolist()
+
+
+def test_rows_that_two_conditions_set_apart_have_one_pattern():
+    two = problem()
+    two.predictor.table.metrics[:] = [
+        replace(m, region="left" if m.field_x_mm < 1.5 else "right", field_x_mm=0.0 if m.field_x_mm < 1.5 else 3.0)
+        for m in two.predictor.table.metrics
+    ]
+    assert sorted(w for w in patterns_of(two).words if "differs" in w) == [
+        "flat_mean differs for region left",
+        "flat_mean differs for region right",
+    ]
 
 
 def test_patterns_are_whitened_columns_with_words_and_family():
