@@ -95,6 +95,11 @@ class Problem:
         # a row that cannot be measured at a point (a plane that saturates there) keeps the prediction of the origin
         return [self.base.mean + np.nan_to_num(vector - self.anchor) for vector in vectors]
 
+    def predict_seen(self, point: Point) -> tuple[Float, NDArray[np.bool_]]:
+        """The prediction (metrics,), and which kept rows cannot be measured there."""
+        (vector,) = self.predictor.derivative_vectors([point], self.seeds)
+        return self.base.mean + np.nan_to_num(vector - self.anchor), ~np.isfinite(vector[self.keep])
+
     def with_draws(self, seeds: tuple[int, ...]) -> Problem:
         """The same with differences taken over more draws; what is known of its derivatives is shared."""
         if len(seeds) <= len(self.seeds):
