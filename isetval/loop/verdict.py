@@ -252,7 +252,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
         )
     if effects:
         model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
-    return model, effects
+    return model, sorted(effects, key=lambda e: -e.dchi2)  # what explains most is read first
 
 
 def _fall_of_chi2(case: Investigation, name: str) -> float:
