@@ -7,7 +7,7 @@
 # Result: one row per trial (JSON lines), a table of target | measured | n, `reports/hidden_effects.html` and `.json`.
 # Run time: 10 to 100 CPU seconds a trial on the small plan, minutes on the full one.
 #
-#     python analyses/hidden_effects.py --plan small --first 1265 --n 500 --resume --jobs 2   # run, sum up, write the page
+#     python analyses/hidden_effects.py --plan small --first 1570 --n 520 --resume --jobs 2   # run, sum up, write the page
 #     python analyses/hidden_effects.py --table                          # the stored table
 #     python analyses/hidden_effects.py --make small-scoring-0004 DIR    # one campaign, to look at
 

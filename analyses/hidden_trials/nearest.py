@@ -11,7 +11,6 @@ import math
 from pathlib import Path
 
 from hidden_trials.calibrate import AIM, Calibration, common_square
-
 from isetval.loop.candidates import candidates_for, gaps_of, lights_of, places_of
 from isetval.loop.gaussian import orthonormal_basis
 from isetval.loop.prediction import Point

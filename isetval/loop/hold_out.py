@@ -86,7 +86,7 @@ def said(case: Investigation, asked: Sequence[Hypothesis]) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class _There:
-    """Nuisances (values), the evidence with them led to their bottom by the derivatives of a fit, and the same of rows ``seen``."""
+    """Nuisances (values), the evidence with them led to their bottom by a fit's derivatives, and the same of rows ``seen``."""
 
     values: Float
     weighed: Weighed
