@@ -23,7 +23,10 @@ TOLD = 5.0  # sigmas beside the nearest effect from which a flag is asked for: t
 
 
 def measure(nominal_folder, plan, lens, *, path=STORED, say=print):
-    """Store, for every outsider that a plan shows, the effect that explains most of it and the share of s that this leaves."""
+    """Store, for every outsider that a plan shows, the effect that explains most of it and the share of s that this leaves.
+
+    Writes after each, so that a killed run loses one.
+    """
     calibration = Calibration(nominal_folder, plan, lens)
     bases = _bases(calibration)
     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
@@ -33,13 +36,14 @@ def measure(nominal_folder, plan, lens, *, path=STORED, say=print):
         parts = calibration.differences(concealed, strength)
         whole = common_square(parts)
         if whole <= 0:
+            say(f"{plan}/{lens} {concealed.key}: does not show")
             continue
         explained = {name: common_square([basis.T @ part for part in parts]) for name, basis in bases.items()}
         name = max(explained, key=explained.get)
         left = math.sqrt(max(1 - explained[name] / whole, 0.0))
         own[concealed.key] = {"nearest": name, "left": round(left, 3), "s": round(math.sqrt(whole), 1)}
         say(f"{plan}/{lens} {concealed.key}: {name} leaves {left:.2f} of its length")
-    path.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
 def _bases(calibration):

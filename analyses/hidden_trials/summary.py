@@ -75,14 +75,9 @@ def targets(rows):
         ("wrong forms: class right, no second name (detected)", ">= 90 %", share(seen(form), lambda r: r[1]["right"])),
         ("outsiders named without a flag (s >= 8)", "<= 5 %", share(out_strong, unflagged)),
         ("outsiders flagged or named rightly (s >= 8)", ">= 90 %", share(out_strong, lambda r: r[1]["right"])),
-        ("outsiders 5 sigmas from any effect: no flag", "<= 5 %", share(filter_told(out_strong), unflagged)),
+        ("outsiders 5 sigmas from any effect: no flag", "<= 5 %", share([r for r in out_strong if tells_apart(r[0])], unflagged)),
         ("95 % intervals that hold the truth", "92 to 97 %", share(pulls(rows), lambda p: abs(p[1]) <= 1.96)),
     ]  # fmt: skip
-
-
-def filter_told(rows):
-    """Outsiders of which the nearest effect leaves enough to be seen: any other is named as that effect by whoever looks."""
-    return [r for r in rows if tells_apart(r[0])]
 
 
 def pulls(rows):

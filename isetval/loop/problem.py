@@ -91,14 +91,16 @@ class Problem:
 
     def predict(self, points: Sequence[Point]) -> list[Float]:
         """Predictions (metrics,): the base plus differences with common random numbers."""
-        vectors = self.predictor.derivative_vectors(points, self.seeds)
-        # a row that cannot be measured at a point (a plane that saturates there) keeps the prediction of the origin
-        return [self.base.mean + np.nan_to_num(vector - self.anchor) for vector in vectors]
+        return [self._from(vector) for vector in self.predictor.derivative_vectors(points, self.seeds)]
 
     def predict_seen(self, point: Point) -> tuple[Float, NDArray[np.bool_]]:
         """The prediction (metrics,), and which kept rows cannot be measured there."""
         (vector,) = self.predictor.derivative_vectors([point], self.seeds)
-        return self.base.mean + np.nan_to_num(vector - self.anchor), ~np.isfinite(vector[self.keep])
+        return self._from(vector), ~np.isfinite(vector[self.keep])
+
+    def _from(self, vector: Float) -> Float:
+        """A row that cannot be measured at a point (a plane that saturates there) keeps the prediction of the origin."""
+        return np.asarray(self.base.mean + np.nan_to_num(vector - self.anchor))
 
     def with_draws(self, seeds: tuple[int, ...]) -> Problem:
         """The same with differences taken over more draws; what is known of its derivatives is shared."""
