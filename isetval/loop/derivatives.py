@@ -24,8 +24,9 @@ STRAIGHT = (
     4.0  # sigmas of a finite step where metrics bend: of both sides the cubic part is left, and frames without noise add none
 )
 LONG = 2 * STRAIGHT  # beyond which a step is shortened
-SHORTER = 4.0  # by which steps of light are shortened where rows come out otherwise than derivatives foretold
-SHORTEST = 2e-3  # of light: a fifth of the 1 % over which a full well's shoulder bends; means that are rounded anew move by .3e-3
+FINER = 2e-3  # step of light for means that bend within a whole one: a fifth of the 1 % over which a full well's shoulder does;
+# means that are rounded anew move by .3e-3
+BENDS = 5e-3  # of light for which such a derivative holds: half of that shoulder
 
 
 def nuisance_parameters(plan: Campaign, model: CameraModel, *, without: Sequence[str] = ()) -> tuple[Parameter, ...]:
@@ -77,7 +78,7 @@ def jacobian(
         some = bool(problem.columns)
         felt = replace(problem, predictor=problem.predictor.that_feel({f.label for f in unknown})) if some else problem
         slopes_here = zip(unknown, _local(felt, point, unknown), strict=True)
-        problem.columns |= {f.label: Column(_with_rows_of_whole_steps(problem, f.label, s), here) for f, s in slopes_here}
+        problem.columns |= {f.label: Column(slope, here) for f, slope in slopes_here}
     effects = [f for f in free if not f.is_nuisance]
     focus = [f for f in free if f.focus]
     own = dict(zip((f.label for f in effects), slopes(problem, point, effects, both_sides, focus), strict=True))
@@ -107,8 +108,8 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
     part = problem.predictor.that_feel({k for f in stale for k in moved[f.label]})
     whole = part is problem.predictor
     here = {k: point.values.get(k, 0.0) for k in problem.columns}
-    for f, taken in zip(stale, _local(replace(problem, predictor=part), point, stale), strict=True):
-        slope, old = _with_rows_of_whole_steps(problem, f.label, taken), problem.columns[f.label]
+    for f, slope in zip(stale, _local(replace(problem, predictor=part), point, stale), strict=True):
+        old = problem.columns[f.label]
         problem.columns[f.label] = (
             Column(slope, here)
             if whole
@@ -116,30 +117,26 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
         )
 
 
-def take_shorter_steps(problem: Problem, free: Sequence[Parameter], rows: Float) -> None:
-    """Forget columns of light levels that have a part in whitened ``rows`` of means: the next are taken in a quarter of the step.
+def take_finer(problem: Problem, point: Point, free: Sequence[Parameter], rows: Float) -> None:
+    """Have means differenced by finer steps of those light levels that have a part in whitened ``rows``, at ``point`` anew.
 
     A level that ends on a plateau (full well below the converter's end) rises on one side of it only: its slope over a whole
-    tolerance of the light is that of neither side, and a fit that believes it ends where the light is 25 sigmas off.  Means alone
-    are differenced so, and levels alone: rows that noise rounds anew scatter the more the shorter the step.
+    tolerance of the light is that of neither side, and a fit that believes it ends where the light is 25 sigmas off.  Means
+    alone are differenced so, and by levels alone: rows that noise rounds anew scatter the more the finer the step.
     """
     for f, column in zip(free, rows.T, strict=True):
-        step = problem.steps.get(f.label, f.step)
-        if f.is_nuisance and f.factor and not f.patch and step > SHORTEST and np.any(column):
-            problem.steps[f.label] = max(step / SHORTER, SHORTEST)
-            if column_of := problem.columns.pop(f.label, None):
-                problem.whole.setdefault(f.label, column_of)
-
-
-def _with_rows_of_whole_steps(problem: Problem, label: str, slope: Float) -> Float:
-    """The slope of a nuisance, the rows that scatter over a whole step where the step was shortened."""
-    return np.where(problem.means, slope, problem.whole[label].slope) if label in problem.whole else slope
+        known = problem.columns.get(f.label)
+        if known is None or not f.factor or f.patch or not np.any(column):
+            continue
+        if f.label not in problem.finer or abs(point.values.get(f.label, 0.0) - known.taken_at.get(f.label, 0.0)) > BENDS:
+            problem.finer.add(f.label)
+            del problem.columns[f.label]
 
 
 def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> list[Float]:
     """Raw slopes of nuisances; where metrics bend, in steps that change them by a few sigmas, remembered in ``problem.steps``.
 
-    Rows of noisy frames keep the long step: rounded common random numbers move them by a sigma or more whatever the step.
+    Means by ``problem.finer`` are those of a finer step.  Rows of noisy frames keep the long step: rounded common random numbers move them by a sigma or more whatever the step.
     """
     kept = [f.stepped(problem.steps.get(f.label, f.step)) for f in unknowns]
     out = slopes(problem, point, kept)
@@ -151,7 +148,10 @@ def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> lis
             long[f.label] = f.stepped(f.step * 2.0 ** round(np.log2(STRAIGHT / length)))
     problem.steps.update({label: f.step for label, f in long.items()})
     again = dict(zip(long, slopes(problem, point, list(long.values())), strict=True))
-    return [again.get(f.label, slope) for f, slope in zip(kept, out, strict=True)]
+    finer = [f.stepped(FINER) for f in unknowns if f.label in problem.finer]
+    of_means = {f.label: slope for f, slope in zip(finer, slopes(problem, point, finer), strict=True)}
+    whole = [again.get(f.label, slope) for f, slope in zip(kept, out, strict=True)]
+    return [np.where(problem.means & (f.label in of_means), of_means.get(f.label, w), w) for f, w in zip(kept, whole, strict=True)]
 
 
 def slopes(

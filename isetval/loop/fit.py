@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
-from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, jacobian, take_shorter_steps
+from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, jacobian, take_finer
 from isetval.loop.family_scales import Families
 from isetval.loop.fit_state import FitState, is_closer, next_step
 from isetval.loop.gaussian import hessian, inverse
@@ -161,7 +161,6 @@ def _descended(
         moved = state.moved(problem, start, free, step)
         fell = state.cost - moved.cost
         foretold_wrong = np.abs(moved.z - state.stepped(matrix, moved.values - state.values).z) > FORETOLD
-        take_shorter_steps(problem, free, matrix[foretold_wrong & problem.means[problem.keep]])
         failures = 0 if fell > state.rounding else failures + 1
         if fell > 0 or is_closer(matrix, moved, state):
             state = moved
@@ -174,6 +173,7 @@ def _descended(
             radius = length / 6
         if failures > MAX_FAILURES:
             break
+        take_finer(problem, state.posed(start, free), free, matrix[foretold_wrong & problem.means[problem.keep]])
         if not (of_here or state.is_close(matrix)):
             matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if fell > TRUSTED * promised else 0.0)
     converged = state.is_close(matrix)

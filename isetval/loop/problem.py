@@ -46,8 +46,8 @@ class Problem:
     captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
     scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.  ``numbers`` are what squares of a
     true model's whitened rows sum to, by family.
-    ``steps`` are shortened finite steps of nuisances, by label, and ``whole`` their columns over the whole step; ``filling``
-    says which levels are full (`isetval.loop.shoulder`).
+    ``steps`` are shortened finite steps of nuisances, by label, and ``finer`` those by which means are differenced
+    more finely; ``filling`` says which levels are full (`isetval.loop.shoulder`).
     """
 
     predictor: Predictor
@@ -62,7 +62,7 @@ class Problem:
     columns: dict[str, Column] = field(default_factory=dict)
     replicas: Mapping[str, Replicas] = field(default_factory=dict)
     steps: dict[str, float] = field(default_factory=dict)
-    whole: dict[str, Column] = field(default_factory=dict)
+    finer: set[str] = field(default_factory=set)
     noise_bias: Float | float = 0.0
     color_variance: Float | float = 0.0
     unseen: Float = field(default_factory=lambda: np.zeros((0, 0)))
