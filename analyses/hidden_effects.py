@@ -187,7 +187,7 @@ def _sum_up(options):
         raise SystemExit(f"{options.rows}: no rows yet")
     made = {"isetval": isetval.__version__, "date": datetime.now(UTC).strftime("%Y-%m-%d")}
     made["commits"] = sorted({row.get("commit") or "not known" for row, _ in rows})
-    made["empty"] = empty  # hidden by name, in no bit of any frame: neither a null nor an effect
+    made["empty"] = empty  # an effect hidden by name, in no bit of any frame: neither a null nor an effect, nor one of two
     found = {**made, **_sets(rows), **summary(rows), "confusions": held_against(rows)}
     causes = json.loads(CAUSES.read_text(encoding="utf-8")) if CAUSES.is_file() else {}
     for wrong in found["wrong"]:
@@ -197,7 +197,7 @@ def _sum_up(options):
     write_page(found, options.report)
     print("\n".join(table_lines(found)))
     if empty:
-        print(f"left out, since no frame differs by a bit from one without what is hidden: {', '.join(empty)}")
+        print(f"left out, since of an effect that is hidden no frame has a bit: {', '.join(empty)}")
     for wrong in found["wrong"]:
         print(f"wrong: {wrong['id']} ({wrong['outcome']}): {wrong['why']}")
     print(f"written: {options.report}")

@@ -38,8 +38,8 @@ def _empty(found):
     if not found.get("empty"):
         return ""
     return (
-        "<p>Left out, since no frame differs by a bit from one without what is hidden (less than half a code in effects that act "
-        f"on whole codes): {escape(', '.join(found['empty']))}.</p>"
+        "<p>Left out, since of an effect that is hidden no frame has a bit (less than half a code in effects that act on whole "
+        f"codes): {escape(', '.join(found['empty']))}.</p>"
     )
 
 

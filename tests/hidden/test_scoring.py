@@ -130,9 +130,10 @@ def test_a_run_is_taken_up_where_it_stopped(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("log", "changes"), [(0.0023, False), (0.02, True)])
-def test_a_campaign_without_a_changed_bit_is_known_as_such(log, changes):
-    """A converter table that moves no code by a half, and one that moves some by two."""
-    row = {"plan": "small", "lens": "open", "seed": 3, "hidden": {"linearization_table": {"log": log}}}
+@pytest.mark.parametrize("beside", [{}, {"black_level": {"offset_dn": 0.5}}])
+def test_an_effect_without_a_changed_bit_is_known_as_such(log, changes, beside):
+    """A converter table that moves no code by a half, and one that moves some by two; beside one that moves most of them."""
+    row = {"plan": "small", "lens": "open", "seed": 3, "hidden": {"linearization_table": {"log": log}, **beside}}
     assert changes_bits(row) is changes
 
 
