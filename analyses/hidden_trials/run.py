@@ -86,9 +86,10 @@ def changes_bits(row):
         specimen = specimen_of(nominal, seed, hidden)
         return (shoot(p, specimen, lights, seed, priors=priors)[0] for p in session)
 
-    return all(
-        any((a != b).any() for a, b in zip(frames({key: values}), frames({}), strict=True)) for key, values in row["hidden"].items()
-    )
+    def differs(hidden):
+        return any((a != b).any() for a, b in zip(frames(hidden), frames({}), strict=True))
+
+    return all(differs({key: values}) for key, values in row["hidden"].items())
 
 
 def _short(content):

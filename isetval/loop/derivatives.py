@@ -136,7 +136,8 @@ def take_finer(problem: Problem, point: Point, free: Sequence[Parameter], rows: 
 def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> list[Float]:
     """Raw slopes of nuisances; where metrics bend, in steps that change them by a few sigmas, remembered in ``problem.steps``.
 
-    Means by ``problem.finer`` are those of a finer step.  Rows of noisy frames keep the long step: rounded common random numbers move them by a sigma or more whatever the step.
+    Means by ``problem.finer`` are those of a finer step.  Rows of noisy frames keep the long step: rounded common random numbers
+    move them by a sigma or more whatever the step.
     """
     kept = [f.stepped(problem.steps.get(f.label, f.step)) for f in unknowns]
     out = slopes(problem, point, kept)
@@ -150,8 +151,8 @@ def _local(problem: Problem, point: Point, unknowns: Sequence[Parameter]) -> lis
     again = dict(zip(long, slopes(problem, point, list(long.values())), strict=True))
     finer = [f.stepped(FINER) for f in unknowns if f.label in problem.finer]
     of_means = {f.label: slope for f, slope in zip(finer, slopes(problem, point, finer), strict=True)}
-    whole = [again.get(f.label, slope) for f, slope in zip(kept, out, strict=True)]
-    return [np.where(problem.means & (f.label in of_means), of_means.get(f.label, w), w) for f, w in zip(kept, whole, strict=True)]
+    whole = {f.label: again.get(f.label, slope) for f, slope in zip(kept, out, strict=True)}
+    return [np.where(problem.means, of_means.get(label, slope), slope) for label, slope in whole.items()]
 
 
 def slopes(

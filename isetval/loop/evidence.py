@@ -138,14 +138,15 @@ def refit(
     iterations : int
         Steps of the fit at most; with 0 the hypothesis is linearised where it starts.
     beaten : float
-        ln Z that is of use: below it a fit is not refined.
+        ln Z that is of use: a fit that stays below it ends where that is clear, and is not refined.
     """
     free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
     point = _starting_point(nominal, near.fitted.point.values, free, members, start)
     focus = [f for f in free if f.focus]
     point = at_same_focus(problem, point, focus_shifts(problem, near.fitted.point.model, focus), focus)
     # a fit of one cost and another have evidences apart by half of what their costs are; more that is free only takes from that
-    enough = near.fitted.cost - 2 * (beaten - near.log_evidence)
+    alike = _as_stated(members) == _as_stated(near.members)
+    enough = near.fitted.cost - 2 * (beaten - near.log_evidence) if alike else np.inf
     fitted = fitted_members(problem, members, point, free, pose=near.fitted.pose, iterations=iterations, beaten=enough)
     found = hypothesis(problem, members, fitted, rough=not iterations)
     gain = found.log_evidence - near.log_evidence
@@ -170,9 +171,9 @@ def fitted_members(
     Noise widens the rows that it is in: the scales of their families would answer in its place, so that it is fitted with error
     bars as they are stated.
     """
-    stated = any(isinstance(m, Candidate) and m.draws_noise for m in members)
-    fitted = fit(problem, start, free, pose=pose, iterations=iterations, stated=stated)
-    if fitted.cost > beaten and not stated:
+    stated = _as_stated(members)
+    fitted = fit(problem, start, free, pose=pose, iterations=iterations, stated=stated, enough=beaten)
+    if fitted.cost > beaten:
         return fitted
     for turn in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted, members)
@@ -187,6 +188,11 @@ def fitted_members(
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)
     return fitted
+
+
+def _as_stated(members: Sequence[Member]) -> bool:
+    """Whether a fit of members has error bars as they are stated."""
+    return any(isinstance(m, Candidate) and m.draws_noise for m in members)
 
 
 def imitators(fitted: Fit) -> frozenset[str]:

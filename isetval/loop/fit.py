@@ -26,6 +26,7 @@ FORETOLD = 3.0  # sigmas by which a row may come out other than a step foretold 
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
 NEAR = 2.0  # sigmas of all rows together that a fit may move with derivatives from both sides: a fifth of the ten sigmas over
 # which they are taken (`evidence.SPAN`); those of a free form of twelve parameters cost nine seconds a place
+HOPE = 2.0  # times what derivatives promise, that a fit may still fall: what bends further promises more, far from its bottom
 TRUSTED = 0.75  # of a promised fall: derivatives that predicted so much of it are kept (as trust regions grow, More 1978)
 
 
@@ -99,6 +100,7 @@ def fit(
     iterations: int = MAX_ITERATIONS,
     stated: bool = False,
     near: bool = False,
+    enough: float = np.inf,
 ) -> Fit:
     """Maximum a posteriori values of ``free`` by Gauss-Newton steps in a trust region, with re-simulated predictions.
 
@@ -116,6 +118,8 @@ def fit(
         Whether error bars are as stated, and no family has a scale of its own.
     near : bool
         Whether it starts where a fit with scales of its own ended.
+    enough : float
+        Cost that is of use: a fit that stays above it by more than `HOPE` times what derivatives promise ends where they lead.
 
     Raises
     ------
@@ -134,23 +138,31 @@ def fit(
     """
     free, families = tuple(free), problem.families
     if stated or (iterations and not near):
-        first = _descended(problem, start, free, pose or {}, iterations, families.as_stated())
+        first = _descended(problem, start, free, pose or {}, iterations, families.as_stated(), enough if stated else np.inf)
         if stated:
             return first
         if not first.leaves_more:
             pulls = first.chi2 - float(first.z @ first.z)
             return replace(first, cost=families.cost(first.z) + pulls, weight=families.weight(first.z))
-    return _descended(problem, start, free, pose or {}, iterations, families)
+    return _descended(problem, start, free, pose or {}, iterations, families, enough)
 
 
 def _descended(
-    problem: Problem, start: Point, free: tuple[Parameter, ...], pose: Mapping[str, float], iterations: int, families: Families
+    problem: Problem,
+    start: Point,
+    free: tuple[Parameter, ...],
+    pose: Mapping[str, float],
+    iterations: int,
+    families: Families,
+    enough: float,
 ) -> Fit:
     """Where Gauss-Newton steps end that make the cost least which error bars of these families have."""
     state = FitState.at(problem, start, free, pose, families)
     matrix = jacobian(problem, state.posed(start, free), free)
     radius, failures, of_here, taken = RADIUS, 0, False, state.values
     for _ in range(iterations):
+        if _is_hopeless(matrix, state, enough):
+            return _ended(problem, state.led(problem, free, matrix), start, free, matrix, False)
         if state.is_close(matrix):
             if not of_here:  # derivatives of the place before say so: those of the place itself may promise more
                 matrix, of_here = jacobian(problem, state.posed(start, free), free, both_sides=True), True
@@ -182,6 +194,11 @@ def _descended(
     if not of_here:
         matrix = jacobian(problem, state.posed(start, free), free, both_sides=True)
     return _ended(problem, state, start, free, matrix, converged)
+
+
+def _is_hopeless(matrix: Float, state: FitState, enough: float) -> bool:
+    """Whether a fit stays above a cost though it fell by `HOPE` times what whitened derivatives promise."""
+    return state.cost > enough and state.cost - HOPE * next_step(matrix, state, np.inf)[1] > enough
 
 
 def _ended(problem: Problem, state: FitState, start: Point, free: tuple[Parameter, ...], matrix: Float, converged: bool) -> Fit:

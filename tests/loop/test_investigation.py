@@ -10,6 +10,7 @@ import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
+from isetval.loop import investigation
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
@@ -131,6 +132,26 @@ def test_the_true_pair_replaces_the_effect_that_answered_for_both(case):
         case.prepared.model.value("dark_current.rate_e_per_s") + 10 * UNIT, abs=UNIT
     )
     assert better.fitted.chi2 < 5
+
+
+@pytest.mark.parametrize(("left", "fewer"), [(0.5, True), (6.0, False)])
+def test_a_further_name_that_explains_nothing_is_not_fitted_to_its_end(monkeypatch, left, fewer):
+    """Beside a dark current of 10 sigmas: half a sigma of black is no name whatever the hold-out says, six are fitted on."""
+
+    def fitted(catches_up):
+        monkeypatch.setattr(investigation, "CATCHES_UP", catches_up)
+        monkeypatch.setattr(investigation.Investigation, "classes", 64)
+        case = case_of(10.0 * np.eye(ROWS)[0] + left * np.eye(ROWS)[1])
+        stand(case, "dark_current")
+        made, camera = [], case.problem.predictor
+        vectors = camera.derivative_vectors
+        camera.derivative_vectors = lambda points, *rest, **more: made.extend(points) or vectors(points, *rest, **more)
+        found = fitted_jointly(case, frozenset({"dark_current", "black_level"}))
+        return found, len(made)
+
+    (here, some), (whole, every) = fitted(investigation.CATCHES_UP), fitted(np.inf)
+    assert (some < every) is fewer
+    assert here.log_evidence == pytest.approx(whole.log_evidence, abs=1e-6)
 
 
 def test_a_fit_that_is_beaten_is_not_refined():
