@@ -35,7 +35,7 @@ from isetval.loop.shortlist import fit_likely, unfitted
 from isetval.loop.signatures import signatures
 from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
-from isetval.loop.verdict import ALPHA, account_of, something_unknown, stopped_account
+from isetval.loop.verdict import ALPHA, account_of, against_priors, something_unknown, stopped_account
 
 Float = NDArray[np.float64]
 LIMIT_S = 3600.0  # a search that is not over in an hour is asked for by name: the longest that was seen took a quarter of it
@@ -155,6 +155,7 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
 def _investigate(case: Investigation, say: Say) -> None:
     """Change what is believed until nothing is more probable; stopped, what is most probable so far is left standing."""
     seen = {case.standing.names}
+    doubted: set[Names] = set()
     try:
         for turn in range(MAX_TURNS):
             weigh_neighbours(case)
@@ -166,7 +167,7 @@ def _investigate(case: Investigation, say: Say) -> None:
                 _move_base(case, say)
                 continue
             better = _better(case, say, seen, first=turn == 0)
-            if better is None and something_unknown(case):
+            if better is None and (something_unknown(case) or _is_against_priors(case, doubted)):
                 better = _better(case, say, seen, first=turn == 0, far=True)
             if better is None:
                 break
@@ -180,6 +181,14 @@ def _investigate(case: Investigation, say: Say) -> None:
     except TimeUp:
         case.standing = _winner(case, seen) or case.standing
         raise
+
+
+def _is_against_priors(case: Investigation, doubted: set[Names]) -> bool:
+    """Whether an unknown of the laboratory stands too far off beside what stands, asked once of each."""
+    if case.standing.names in doubted:
+        return False
+    doubted.add(case.standing.names)
+    return bool(against_priors(case))
 
 
 def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypothesis:
@@ -233,7 +242,8 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool, far
     """The hypothesis that should stand instead, or None; where they are close the hold-out is asked.
 
     ``far``: also what signatures promise little of is fitted.  A shadow of pixels goes as its square and shows at a quarter of
-    its prior's width along another line than at the whole: something is seen to be there, and no signature tells what.
+    its prior's width along another line than at the whole: something is seen to be there, and no signature tells what.  Or the
+    hold-out's light stands many of its prior's sigmas off, for an effect that the captures used show by chance too faintly.
     """
     fit_likely(case, say, first=first, far=far)
     rivals = _rivals(case, seen)

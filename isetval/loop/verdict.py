@@ -47,7 +47,7 @@ def account_of(case: Investigation, gate: Mapping[str, Any], *, say: Say, more: 
     beside = with_unknown(case)
     like = _likenesses(case)
     model, effects = _model_with(case, like, beside)
-    words = [*_words_left(case, beside), *_against_priors(case), *unconfirmed(case.standing.names, beside.table)]
+    words = [*_words_left(case, beside), *against_priors(case), *unconfirmed(case.standing.names, beside.table)]
     say("drawing the ladder")
     models = [nominal] if model is nominal else [nominal, model]
     ladder = tuple(ladder_rows(prepared, models))
@@ -261,7 +261,7 @@ def _fall_of_chi2(case: Investigation, name: str) -> float:
     return least_chi2(without.fitted) - least_chi2(case.fitted) if without is not None else 0.0
 
 
-def _against_priors(case: Investigation) -> list[str]:
+def against_priors(case: Investigation) -> list[str]:
     """Pulls of the laboratory's unknowns that are too long under the named model."""
     fits = [("the captures used", case.fitted)]
     if case.held is not None:

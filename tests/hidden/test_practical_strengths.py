@@ -33,3 +33,12 @@ def test_it_is_named_alone(name, tmp_path):
     if value is not None:
         stated = found.effects[0].parameters[value[0]]
         assert abs(stated.value - value[1]) < 4 * stated.sigma, stated
+
+
+@pytest.mark.slow
+def test_what_the_captures_used_show_faintly_is_asked_where_the_hold_out_shows_it(tmp_path):
+    """A gain map of s = 5 (``small-scoring-1589``): 2.6 sigmas in one session; in the other it stood as a light 4.2 sigmas off."""
+    hidden = {"gain_map_applied": {"share": 0.03575855821493277}}
+    folder = write_campaign(tmp_path / "c", NOMINAL, seed=21589000, hidden=hidden, kind="small", lens="stopped")
+    found = isetval.diagnose(isetval.load_model(folder / "camera.toml"), isetval.load_campaign(folder), with_next_captures=False)
+    assert [effect.name for effect in found.effects] == ["gain_map_applied"], found.verdict
