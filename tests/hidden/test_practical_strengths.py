@@ -37,7 +37,7 @@ def test_it_is_named_alone(name, tmp_path):
 
 @pytest.mark.slow
 def test_what_the_captures_used_show_faintly_is_asked_where_the_hold_out_shows_it(tmp_path):
-    """A gain map of s = 5 (``small-scoring-1589``): 2.6 sigmas in one session; in the other it stood as a light 4.2 sigmas off."""
+    """A gain map of s = 5 (``small-scoring-1589``): 2.6 sigmas in one session, in the other a light 4.2 sigmas off."""
     hidden = {"gain_map_applied": {"share": 0.03575855821493277}}
     folder = write_campaign(tmp_path / "c", NOMINAL, seed=21589000, hidden=hidden, kind="small", lens="stopped")
     found = isetval.diagnose(isetval.load_model(folder / "camera.toml"), isetval.load_campaign(folder), with_next_captures=False)
