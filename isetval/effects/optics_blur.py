@@ -257,7 +257,9 @@ class Spherical(Effect):
 class Coma(Effect):
     """Primary coma along the field radius, growing linearly with it; makes edges asymmetric.
 
-    The tilt that balances it is part of the Zernike term, so edges stay where they are to first order.
+    The tilt that balances it is part of the Zernike term, so edges stay where they are to first order.  Rays land
+    against the slope of W: the flare of a positive coefficient points towards the middle of the picture.  Programs that count
+    the path the other way have the other sign.
     """
 
     name = "coma"

@@ -14,6 +14,7 @@ from foreign_camera.truths import EFFECTS, FORMS, OUTSIDERS, TRIALS
 import isetval
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.effects import catalogue
+from isetval.effects.pupil import CircularPupil
 from isetval.testing.foreign_camera import campaign as foreign
 from isetval.testing.foreign_camera import effects, hidden_charge, hidden_lens, optics, outsiders, plan, scene, sensor, spectra
 from isetval.testing.foreign_camera.camera_file import nominal_camera
@@ -230,3 +231,18 @@ def test_inter_pixel_capacitance_moves_variance_into_neighbours(nominal):
     error = 4 / math.sqrt(inner.size)
     assert np.mean(inner**2) / mu == pytest.approx((1 - 4 * a) ** 2 + 4 * a**2, abs=error * math.sqrt(2))
     assert np.mean(inner[:, :, 1:] * inner[:, :, :-1]) / mu == pytest.approx(2 * a * (1 - 4 * a), abs=error)
+
+
+def test_the_two_cameras_count_a_comas_path_in_opposite_ways():
+    """A wave of .1 at the corner at the right border: light of ours lies inwards, that of the other camera outwards."""
+    pupil = CircularPupil(f_number=1.73, pixel_um=1.4, coma_x_waves=0.1)
+    f = np.fft.fftfreq(64)
+    spread = np.fft.fftshift(np.fft.ifft2(pupil.transfer(f[None, :], f[:, None], np.array(550.0))).real).sum(axis=0)
+    place, density = optics.line_spread(0.55, 1.73, 0.0, 0.0, 0.1 * 0.55 * 3 * 8**0.5)
+    ours = float(spread @ (np.arange(64) - 32.0)) * 1.4
+    near = np.abs(place) < 32 * 1.4
+    theirs = float(density[near] @ place[near] / density[near].sum())
+    # the mean slope of c sqrt(8) (3 rho^3 - 2 rho) cos over the pupil is c sqrt(8), and a slope moves light by 2 N
+    moved = 2 * 1.73 * 0.55 * 0.1 * 8**0.5
+    assert ours == pytest.approx(-moved, rel=0.05)
+    assert theirs == pytest.approx(moved, rel=0.05)

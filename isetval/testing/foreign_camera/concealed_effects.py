@@ -240,7 +240,13 @@ EFFECTS = (
     _effect("axial_color", {"primary_um": 1.5, "secondary_um": 0.5}, "plastic lenses: a few um", seen=EDGES),
     _effect("astigmatism", {"gap_um": 3.0}, OWN, seen=EDGES),
     _effect("spherical", {"rms_waves": 0.04}, "Marechal's limit is 0.07", seen=EDGES, values=_same(rms_waves="rms_waves")),
-    _effect("coma", {"rms_waves": 0.06}, "Marechal's limit is 0.07", seen=EDGES, values=_same(rms_waves="rms_waves")),
+    _effect(  # counts the wave's path the other way: its flare points outwards
+        "coma",
+        {"rms_waves": 0.06},
+        "Marechal's limit is 0.07",
+        seen=EDGES,
+        values=lambda p, c: {"rms_waves": -p["rms_waves"]},
+    ),
     _effect("motion_blur", {"px": 0.5}, OWN, seen=EDGES, power=2, fixed={"deg": 0.0}, values=_same(length_px="px")),
     _effect(
         "lateral_color",
