@@ -248,7 +248,7 @@ def _catches_up(case: Investigation, members: Sequence[Member]) -> float:
     Variances go as the square of a noise and whole codes in stairs: there derivatives promise nothing of what is to be found.
     """
     more = [m for m in members if m.name not in case.standing.names]
-    blind = any(isinstance(m, Candidate) and (m.goes_as_square or m.effect.random != "none" or m.code_steps) for m in more)
+    blind = any(isinstance(m, Candidate) and (m.effect.random != "none" or m.code_steps) for m in more)
     if blind or not {m.name for m in members} > case.standing.names:
         return -np.inf
     return case.standing.log_evidence + case.log_prior(case.standing.members) - CATCHES_UP
