@@ -141,8 +141,8 @@ def _reliability(axes, found):
     spread = [[b["share"] - b["low"] for b in rows], [b["high"] - b["share"] for b in rows]]
     axes.plot([0, 1], [0, 1], color="#999", lw=1)
     axes.errorbar(stated, right, yerr=spread, fmt="o", capsize=3)
-    for x, y, b in zip(stated, right, rows, strict=True):
-        axes.annotate(f"n = {b['n']}", (x, y), textcoords="offset points", xytext=(-8, -12), ha="right", fontsize=9)
+    words = "\n".join(f"{b['stated']:.2f} stated, {b['share']:.2f} right, n = {b['n']}" for b in rows)
+    axes.text(0.02, 0.97, words, transform=axes.transAxes, va="top", fontsize=9)  # beside the points they lie on one another
     axes.set(xlabel="stated posterior of the first name", ylabel="share right", xlim=(0, 1.03), ylim=(-0.05, 1.05))
     return bool(rows)
 
