@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter, table_file
+from isetval.core.effect import Effect, ParameterInfo, parameter, table_file
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum, read_spectra
 from isetval.core.signal import Signal
@@ -22,6 +23,7 @@ PLANCK_J_S = 6.62607015e-34
 LIGHT_M_PER_S = 299792458.0
 LEAK_ABOVE_NM = 700.0  # where the infrared-cut filter of a camera has closed
 CHANNELS = ("R", "G", "B")
+CROSSTALK_FORMS = ("matrix", "neighbors")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,8 +217,10 @@ class QuantumEfficiency(Effect):
 class SpectralCrosstalk(Effect):
     """Electrons of one colour channel found in another: the same mixing matrix under all lights.
 
-    ``eps_rg`` is the part of the green channel's signal that is added to red, and so on; the diagonal
-    stays 1.  Confounded with channel gain (.86) and the light's spectrum (.72); narrow-band lights help.
+    ``form`` "matrix": ``eps_rg`` is the part of the green channel's signal that is added to red, and so on; the diagonal
+    stays 1.  "neighbors": each pixel gives ``leak`` of its electrons to its four neighbors, which decides all of the matrix:
+    red and blue have four green neighbors, green has two of each.  Confounded with
+    channel gain (.86) and the light's spectrum (.72); narrow-band lights help.
     Acts on colour channels behind quantum_efficiency and microlens, before cfa.
     """
 
@@ -231,9 +235,13 @@ class SpectralCrosstalk(Effect):
         "spd_mismatch",
         "ir_leak",
     )
-    equation = "mu' = M mu, M = I + (eps_ij off the diagonal)"
-    reference = "Lyu et al., Accurate smartphone camera simulation using 3D scenes, sec. sensor QE (matrix M)"
+    equation = "mu' = M mu, M = I + (eps_ij off the diagonal); of neighbors R' = (1 - l) R + l G, G' = (1 - l) G + l (R + B)/2"
+    reference = (
+        "Lyu et al., Accurate smartphone camera simulation using 3D scenes, sec. sensor QE (matrix M); "
+        "Hirakawa, Cross-talk explained, IEEE ICIP 2008, 677 (of neighbors)"
+    )
     must_not_change = ("dark",)
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": CROSSTALK_FORMS}
 
     eps_rg: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="green signal added to red")
     eps_rb: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="blue signal added to red")
@@ -241,9 +249,29 @@ class SpectralCrosstalk(Effect):
     eps_gb: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="blue signal added to green")
     eps_br: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="red signal added to blue")
     eps_bg: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="green signal added to blue")
+    leak: float = parameter(0.0, unit="1", low=0.0, high=0.5, tau=0.02, doc="part l of a pixel in its four neighbors together")
+    form: str = CROSSTALK_FORMS[0]
+
+    def __post_init__(self) -> None:
+        """A number that its form does not read would be stated for nothing: InputError."""
+        super().__post_init__()
+        own = {p.name for p in self.own_parameters()}
+        idle = [name for name, value in self.values().items() if value and name not in own]
+        if idle:
+            raise InputError(
+                f"effect {self.name}: {idle[0]} is {self.values()[idle[0]]:g}, which form {self.form!r} does not read; it needs "
+                f"form = {CROSSTALK_FORMS[self.form == CROSSTALK_FORMS[0]]!r}"
+            )
+
+    def own_parameters(self) -> tuple[ParameterInfo, ...]:
+        """The six of a matrix, or the one leak to the neighbors."""
+        return tuple(p for p in self.parameters() if (p.name == "leak") == (self.form == "neighbors"))
 
     def matrix(self) -> Float:
         """The mixing matrix M (3, 3)."""
+        if self.form == "neighbors":
+            stays, leak = 1 - self.leak, self.leak
+            return np.array([[stays, leak, 0.0], [leak / 2, stays, leak / 2], [0.0, leak, stays]])
         return np.array([[1.0, self.eps_rg, self.eps_rb], [self.eps_gr, 1.0, self.eps_gb], [self.eps_br, self.eps_bg, 1.0]])
 
     def apply(self, signal: Signal, context: Context) -> Signal:

@@ -151,9 +151,10 @@ class BlackLevel(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class RawFiltering(Effect):
-    """Noise reduction in the "raw": neighbours of the same colour are mixed.
+    """Noise reduction, or sharpening, in the "raw": neighbours of the same colour are mixed in, or taken off.
 
-    MTF falls and the noise becomes correlated; the neighbour covariance of darks shows it.
+    Mixed in (w > 0), MTF falls and noise is correlated; taken off (w < 0), MTF and noise rise and neighbours are anticorrelated.
+    The neighbour covariance of darks shows both.
 
     ``form``: "whole codes", rounded before and after, where a weight of .04 moves few pixels of a dark by half a code, or
     "before rounding", on values finer than the file's codes, as of a processor that keeps fractions: darks lose their noise too.
@@ -175,7 +176,7 @@ class RawFiltering(Effect):
     reference = "first-order smoothing kernel; e.g. Gonzalez & Woods, Digital Image Processing, sec. 3.5"
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": FILTER_FORMS}
 
-    weight: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.02, doc="weight w of each neighbour")
+    weight: float = parameter(0.0, unit="1", low=-0.2, high=0.2, tau=0.02, doc="weight w of a neighbour; < 0 sharpens")
     form: str = FILTER_FORMS[0]
 
     def apply(self, signal: Signal, context: Context) -> Signal:

@@ -55,7 +55,9 @@ class LightNonuniformity(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class SpdMismatch(Effect):
-    """A light whose spectrum is not the stated one: a tilt and a spike.  Residuals under that light only.
+    """A light whose spectrum is not the stated one: a tilt, a bow and a spike.  Residuals under that light only.
+
+    The ratio of two black bodies is exp(k / lambda): nearly all tilt, with a bow of a seventh to a quarter of it.
 
     ``light`` names the light it belongs to (empty: all).  Confounded with spectral crosstalk and a shift
     of the colour filters; a spectroradiometer or a second white tells.
@@ -73,13 +75,14 @@ class SpdMismatch(Effect):
         "fluorescence",
     )
     free = FreeAxis("wavelength", "gain", 0.1)
-    equation = "L x max(0, 1 + tilt (lambda - 550)/100 + spike exp(-(lambda - lambda_s)^2 / (2 w^2)))"
-    reference = "CIE 15:2018, sec. 4 (tolerances of illuminants); first-order terms"
+    equation = "L x max(0, 1 + t x + b x^2 + spike exp(-(lambda - lambda_s)^2 / (2 w^2))), x = (lambda - 550)/100 nm"
+    reference = "CIE 15:2018, sec. 4 (tolerances of illuminants); second-order expansion"
     must_not_change = ("dark",)
     per_light: ClassVar[bool] = True
 
     light: str = ""
-    tilt: float = parameter(0.0, unit="1/100 nm", low=-0.6, high=0.6, tau=0.05, doc="relative tilt around 550 nm")
+    tilt: float = parameter(0.0, unit="1/100 nm", low=-0.6, high=0.6, tau=0.05, doc="relative tilt t around 550 nm")
+    bow: float = parameter(0.0, unit="1/(100 nm)^2", low=-0.2, high=0.4, tau=0.0125, doc="relative bow b around 550 nm")
     spike: float = parameter(0.0, unit="1", low=-1.0, high=100.0, tau=0.2, doc="relative height of the spike")
     spike_nm: float = parameter(545.0, unit="nm", low=300.0, high=1100.0, tau=60.0, shape=True, doc="place of the spike")
     width_nm: float = parameter(10.0, unit="nm", low=1.0, high=200.0, tau=15.0, shape=True, doc="its standard deviation w")
@@ -90,10 +93,11 @@ class SpdMismatch(Effect):
 
     def apply_scene(self, scene: Scene, context: Context) -> Scene:
         """Change the light's spectrum in its own shots."""
-        if self.light not in ("", context.light) or not (self.tilt or self.spike):
+        if self.light not in ("", context.light) or not (self.tilt or self.bow or self.spike):
             return scene
         distance = (scene.wavelength_nm - self.spike_nm) / self.width_nm
-        factor = 1 + self.tilt * (scene.wavelength_nm - REFERENCE_NM) / 100 + self.spike * np.exp(-(distance**2) / 2)
+        x = (scene.wavelength_nm - REFERENCE_NM) / 100
+        factor = 1 + self.tilt * x + self.bow * x**2 + self.spike * np.exp(-(distance**2) / 2)
         return scene.with_white(np.maximum(factor, 0))
 
 

@@ -239,10 +239,17 @@ def _forms(candidate: Candidate, choices: Mapping[str, Sequence[str | float]]) -
     own = [{key: value for key, value in chosen.items() if value != choices[key][0]} for chosen in every]
     said = [", ".join(v if isinstance(v, str) else f"{key} {v:g}" for key, v in chosen.items()) for chosen in own]
     names = [f"{candidate.name} ({words})" if words else candidate.name for words in said]
+    effects = [candidate.effect.changed(**chosen) for chosen in every]
     return [
-        replace(candidate, name=name, effect=candidate.effect.changed(**chosen), prior_weight=1 / len(every))
-        for name, chosen in zip(names, every, strict=True)
+        replace(candidate, name=name, effect=effect, parameters=_felt(candidate, effect), prior_weight=1 / len(every))
+        for name, effect in zip(names, effects, strict=True)
     ]
+
+
+def _felt(candidate: Candidate, effect: Effect) -> tuple[ParameterInfo, ...]:
+    """The candidate's parameters that do something in this form of its effect."""
+    names = {p.name for p in effect.own_parameters()}
+    return tuple(p for p in candidate.parameters if p.name in names)
 
 
 def _at_places(candidate: Candidate, places: Sequence[Place]) -> list[Candidate]:

@@ -102,7 +102,7 @@ def _strong(effect: Effect) -> Effect:
     """The effect with parameters that stand at their null moved by their plausible scale."""
     moved = {
         info.name: min(info.null + info.tau, info.high) if info.null + info.tau > info.low else info.null
-        for info in effect.parameters()
+        for info in effect.own_parameters()
         if info.tau is not None and not info.shape and effect.values()[info.name] == info.null
     }
     return effect.changed(**moved)

@@ -59,7 +59,7 @@ def with_effect(camera, name):
         moved = {p.name: min(1.1 * standing.values()[p.name], p.high) for p in standing.parameters()}
         return camera.with_effect(standing.changed(**moved)) if moved else camera.without(name)
     effect = standing or catalogue()[name](**{p.name: p.null for p in catalogue()[name].parameters() if not p.shape})
-    moved = {p.name: effect.values()[p.name] + p.tau for p in effect.parameters() if p.tau is not None and not p.shape}
+    moved = {p.name: effect.values()[p.name] + p.tau for p in effect.own_parameters() if p.tau is not None and not p.shape}
     return camera.with_effect(effect.changed(**moved))
 
 
@@ -100,7 +100,7 @@ BEHIND_A_PUPIL = [name for name, cls in catalogue().items() if cls.stage == "opt
 def test_it_moves_the_film_by_what_it_says(name, place, light):
     """Beside the window's middle, where nothing that grows with the field is zero; whatever else it does to the pupil."""
     effect = catalogue()[name]()
-    moved = {p.name: p.null + 0.3 * p.tau for p in effect.parameters() if p.tau is not None and p.null is not None}
+    moved = {p.name: p.null + 0.3 * p.tau for p in effect.own_parameters() if p.tau is not None and p.null is not None}
     effect = effect.changed(**{n: min(v, p.high) for p in effect.parameters() for n, v in moved.items() if n == p.name})
     context = place(effect, window=CORNER)
     before = light(shape=CORNER[2:])

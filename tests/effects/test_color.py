@@ -83,6 +83,18 @@ def test_crosstalk_mixes_the_named_channels(place):
     np.testing.assert_allclose(out, [110, 200, 40])
 
 
+def test_a_leak_to_neighbors_mixes_as_a_mosaic_does(place):
+    """Counted pixel by pixel: every pixel of a Bayer mosaic gives a quarter of its leak to each of its four neighbors."""
+    colors, leak = np.array([900.0, 600.0, 300.0]), 0.08
+    mosaic = np.tile(colors[[[0, 1], [1, 2]]], (4, 4))
+    near = sum(np.roll(mosaic, step, axis) for step in (-1, 1) for axis in (0, 1))
+    counted = (1 - leak) * mosaic + leak * near / 4
+    planes = Signal.of(np.broadcast_to(colors[:, None, None], (3, 8, 8)), "electron")
+    out = SpectralCrosstalk(form="neighbors", leak=leak).apply(planes, place()).values[:, 0, 0]
+    np.testing.assert_allclose(out, [counted[0, 0], counted[0, 1], counted[1, 1]], rtol=1e-12)
+    np.testing.assert_allclose(counted[0, 1], counted[1, 0])
+
+
 def test_microlens_loses_its_part_in_the_corner_of_each_channel(place):
     electrons = Signal.of(np.full((3, 1, 1), 1000.0), "electron", shape=(1, 1))
     effect = Microlens(m_red=0.3, m_green=0.2, m_blue=0.1)

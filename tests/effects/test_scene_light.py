@@ -48,6 +48,8 @@ def test_a_wrong_spectrum_belongs_to_one_light(place):
     effect = SpdMismatch(light="A", tilt=0.1, spike=0.5, spike_nm=600.0, width_nm=5.0)
     out = radiance(effect, FLAT, place(light="A"))[:, 0, 0] / FLAT.white
     np.testing.assert_allclose(out, [0.85, 0.9, 0.95, 1.0, 1.55, 1.1, 1.15], atol=1e-12)
+    bent = radiance(SpdMismatch(bow=0.1), FLAT, place())[:, 0, 0] / FLAT.white
+    np.testing.assert_allclose(bent, 1 + 0.1 * (np.array([400, 450, 500, 550, 600, 650, 700]) / 100 - 5.5) ** 2, atol=1e-12)
     assert effect.apply_scene(FLAT, place(light="D65")) is FLAT
     assert effect.content() != replace(effect, light="D65").content()
 

@@ -8,6 +8,7 @@ import pytest
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.camera.exposing import expose
 from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.loop.candidates import candidates_for, gaps_of, lights_of, places_of
@@ -20,7 +21,7 @@ def test_a_spectrum_may_be_wrong_for_one_light(model):
     found = [c for c in candidates_for(model, lights_of(plan)) if c.klass == "spd_mismatch"]
     assert [c.effect.light for c in found] == ["", "sphere", "tube"]
     assert len({c.name for c in found}) == 3
-    assert {c.keys for c in found} == {("spd_mismatch.tilt", "spd_mismatch.spike")}
+    assert {c.keys for c in found} == {("spd_mismatch.tilt", "spd_mismatch.bow", "spd_mismatch.spike")}
     assert sum(c.prior_weight for c in found) == pytest.approx(1.0)
 
 
@@ -49,6 +50,16 @@ def test_forms_by_name_are_candidates_that_share_the_odds_of_their_effect(model)
     forms = [c for c in candidates_for(model) if c.klass == "amplifier_crosstalk"]
     assert [(c.name, c.effect.lag_px) for c in forms] == [("amplifier_crosstalk", 2.0), ("amplifier_crosstalk (lag_px 1)", 1.0)]
     assert sum(c.prior_weight for c in forms) == pytest.approx(1.0)
+
+
+def test_a_form_frees_what_it_reads(model):
+    """Six numbers of a matrix or the one leak that neighbors in the mosaic leave: never both, and no odds for the idle ones."""
+    matrix, neighbors = (c for c in candidates_for(model) if c.klass == "spectral_crosstalk")
+    assert len(matrix.keys) == 6
+    assert (neighbors.name, neighbors.keys) == ("spectral_crosstalk (neighbors)", ("spectral_crosstalk.leak",))
+    assert neighbors.model_with(model).with_values({"spectral_crosstalk.leak": 0.1}).value("spectral_crosstalk.leak") == 0.1
+    with pytest.raises(InputError, match="which form 'matrix' does not read; it needs form = 'neighbors'"):
+        matrix.effect.changed(leak=0.1)
 
 
 def test_covered_pixels_may_lie_under_any_filter(model):

@@ -15,7 +15,7 @@ from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.detective import CLEAR, ODDS, _better
+from isetval.loop.detective import CLEAR, ODDS, _better, _is_against_priors
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.hold_out import ask_holdout
@@ -26,6 +26,8 @@ from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
 from isetval.loop.shortlist import _proposals, of_several_classes
 from isetval.loop.signatures import Signature
+from isetval.loop.telling import Deadline
+from isetval.loop.verdict import stopped_account
 
 ROWS = 6
 MIXED = np.array([1.0, 1.0, 0.5, 0, 0, 0]) / 1.5
@@ -80,7 +82,12 @@ def case_of(measured, apart=False):
     }
     nothing = hypothesis(problem, (), fitted)
     prepared = SimpleNamespace(
-        model=model, problem_for=lambda *_, **__: problem, stands_for=lambda *_: None
+        model=model,
+        campaign=plan,
+        table=SimpleNamespace(notes=()),
+        problem_for=lambda *_, **__: problem,
+        stands_for=lambda *_: None,
+        settled=lambda _: (problem, fitted),
     )  # linear: no weight changes with the model
     case = Investigation(prepared, None, problem, nothing, tuple(chosen), (), signatures, make_frame(fitted))
     case.known[NOTHING] = nothing
@@ -483,3 +490,36 @@ def test_a_base_stands_where_each_effect_does():
     assert not _stands(before, after, gain)
     assert not _stands(before, found(dict.fromkeys(form.keys, 2.0)), form)
     assert _stands(before, before, gain)
+
+
+class LitCamera(LinearCamera):
+    """Beside the three parameters a light whose level the fifth row knows to a twentieth of its prior."""
+
+    def derivative_vectors(self, points, seeds, of_noise=False):
+        linear = super().derivative_vectors(points, seeds)
+        return [a + sum(p.values.values()) / 1e-3 * np.eye(ROWS)[4] for a, p in zip(linear, points, strict=True)]
+
+
+@pytest.mark.parametrize(("pull", "far"), [(1.0, False), (6.0, True)])
+def test_a_light_far_off_its_prior_in_the_hold_out_is_asked_of_once(case, pull, far):
+    """The captures used may show by chance too little of an effect that the hold-out takes for six prior sigmas of its light."""
+    plan = replace(POSED, nuisances=(Nuisance("light_level", 0.02, "relative", "set-up"),))
+    there = case_of(20.0 * pull * np.eye(ROWS)[4])
+    problem = replace(there.problem, predictor=LitCamera(plan, case.prepared.model))
+    fitted = fit(problem, Point(case.prepared.model), nuisance_parameters(plan, case.prepared.model))
+    case.held = SimpleNamespace(settled=lambda model: (problem, fitted))
+    doubted = set()
+    assert [_is_against_priors(case, doubted) for _ in range(2)] == [far, False]
+
+
+@pytest.mark.parametrize("strong", [0, 1])
+def test_effects_are_listed_by_what_they_explain(strong):
+    """A temperature drift that explains 9,000 of chi2 stood behind the dark current of 5 sigmas that it had left."""
+    weights = np.array([6.0, 6.0])
+    weights[strong] = 20.0
+    case = case_of(weights @ np.eye(ROWS)[:2])
+    stand(case, "dark_current", "temporal_row_noise")
+    found = stopped_account(case, {"failed": False}, Deadline(1.0, None, None), unfitted=())
+    order = ["dark_current", "temporal_row_noise"]
+    assert [e.name for e in found.effects] == (order if strong == 0 else order[::-1])
+    assert found.effects[0].dchi2 > found.effects[1].dchi2 > 20
