@@ -174,7 +174,8 @@ def doctor(args: argparse.Namespace, console: Console) -> Outcome:
     lines = text_table(("part", "", "found"), [(c.part, marks[c.state], c.found) for c in checks], indent=0)
     for probe in choice.get("probes", ()):
         state = "passed" if probe["passed"] else "failed"
-        lines.append(f"  tried {probe['variant']} {probe['library']}: {state}: {probe['message']}")
+        tried = f"{probe['variant']} {probe['library']}".rstrip()
+        lines.append(f"  tried {tried}: {state}: {probe['message']}")
     lines += [f"remedy for {c.part}: {c.remedy}" for c in checks if c.remedy]
     code = MISSING_PART if any(c.state == "broken" for c in checks) else FINE
     return Outcome({"kind": "doctor", "checks": [vars(c) for c in checks], "mitsuba": choice}, lines, code)

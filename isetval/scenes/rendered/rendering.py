@@ -62,6 +62,7 @@ def render(
     spp : int
         Samples for each pixel (with a noise target: at most).  They are split into passes.
     seed : int
+        Gives the same bits anew with the scalar variant, with others the same radiance to about 1e-6 of it.
     noise_target : float or NoiseTarget, optional
         Stop earlier: a float is the wanted relative standard error of the mean radiance.
     variant : str, optional
@@ -258,7 +259,7 @@ _ENGINE: ContextVar[Engine | None] = ContextVar("engine of render passes", defau
 
 @contextmanager
 def passes_on(engine: Engine) -> Iterator[None]:
-    """Within the block the passes of every render are drawn on ``engine``; the bits are those of one process."""
+    """Within the block the passes of every render are drawn on ``engine``; the bits are those of one process (scalar variant)."""
     before = _ENGINE.set(engine)
     try:
         yield

@@ -3,7 +3,8 @@
 Mitsuba 3.9 accepts libLLVM 15 and 16 and then aborts the process in the middle of a render, which no
 ``except`` can catch.  So a variant other than ``scalar_*`` is chosen only after a real 4 x 4 pixel render
 with it has succeeded in a child process.  The answer is cached by Mitsuba version, library path and its
-modification time.  Nothing here imports Mitsuba.
+modification time; without such a file (CUDA) by the driver, and a failure then for this process alone: nothing would
+tell that it was mended.  Nothing here imports Mitsuba.
 """
 
 from __future__ import annotations
@@ -24,6 +25,12 @@ from isetval.core.errors import InputError, MissingPartError
 SCALAR = "scalar_spectral"
 JIT_VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral")
 CURE = "install libLLVM 19 (Debian and Ubuntu: apt install libllvm19), or point DRJIT_LIBLLVM_PATH at another libLLVM"
+CUDA_CURE = (
+    "CUDA needs an NVIDIA driver with its ray tracer: nvidia-smi must list a GPU and libnvoptix.so.1 be there "
+    "(in a container: NVIDIA_DRIVER_CAPABILITIES=all), or DRJIT_LIBOPTIX_PATH point at it"
+)
+_DRIVER_FILE = Path("/proc/driver/nvidia/version")
+_DRIVER_NAMES = ("CUDA_VISIBLE_DEVICES", "DRJIT_LIBCUDA_PATH", "DRJIT_LIBOPTIX_PATH")
 _PLACES = (
     "/usr/lib/*/libLLVM*.so*",
     "/usr/lib/libLLVM*.so*",
@@ -94,16 +101,31 @@ def probe_variant(variant: str, library: str = "", *, timeout_s: float = 90.0, u
     """Try a 4 x 4 pixel, 1 sample render with ``variant`` and libLLVM ``library`` in a child process."""
     version = mitsuba_version()
     modified = os.stat(library).st_mtime_ns if library and os.path.exists(library) else 0
-    key = content_hash(["probe-1", version, sys.version_info[:2], variant, library, modified])
+    driver = None if library else _driver()
+    key = content_hash(["probe-2", version, sys.version_info[:2], variant, library, modified, driver])
     path = cache.cache_folder() / "variants" / f"{key}.json"
-    known = cache.load_json(path) if use_cache else None
+    known = (_FAILED.get(str(path)) or cache.load_json(path)) if use_cache else None
     if isinstance(known, dict) and {"passed", "message"} <= known.keys():
         return Probe(variant, library, bool(known["passed"]), str(known["message"]), True)
     passed, message = _render_in_child(variant, library, timeout_s)
     probe = Probe(variant, library, passed, message)
-    if use_cache:
+    if use_cache and (passed or library):
         cache.save_json(path, asdict(probe) | {"mitsuba": version})
+    elif use_cache:
+        _FAILED[str(path)] = asdict(probe)
     return probe
+
+
+_FAILED: dict[str, dict[str, object]] = {}
+
+
+def _driver() -> tuple[str | None, ...]:
+    """The NVIDIA driver's version, and the variables that choose among its devices and libraries."""
+    try:
+        version = _DRIVER_FILE.read_text().splitlines()[0]
+    except (OSError, IndexError):
+        version = ""
+    return (version, *(os.environ.get(name) for name in _DRIVER_NAMES))
 
 
 def _render_in_child(variant: str, library: str, timeout_s: float) -> tuple[bool, str]:
@@ -127,7 +149,10 @@ def _render_in_child(variant: str, library: str, timeout_s: float) -> tuple[bool
 def _last_words(text: str, code: int) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     telling = [line for line in lines if "LLVM ERROR" in line or "Error" in line or "error" in line]
-    words = (telling or lines or ["no message"])[-1][:200]
+    raised = [line for line in lines if re.match(r"[\w.]*(Error|Exception): ", line)]
+    words = (raised or telling or lines or ["no message"])[-1][:200]
+    if raised and lines[-1] != raised[-1]:  # of a message of many lines the last one tells why
+        words = f"{words} ... {lines[-1][:100]}"
     end = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
     return f"{end}: {words}"
 
@@ -168,9 +193,12 @@ def choose_variant(wanted: str | None = None, *, probe: bool = True) -> VariantC
                 reason = f"{source}; " if wanted != "auto" else ""
                 return VariantChoice(variant, library, f"{reason}probe render in a child process succeeded", tuple(probes))
     if wanted != "auto":
-        words = "; ".join(f"{p.library or 'no library'}: {p.message}" for p in probes) or "no library found"
-        raise MissingPartError(f"variant {wanted} ({source}) failed its probe render ({words}); {CURE}")
-    return VariantChoice(SCALAR, "", "no faster variant passed its probe render", tuple(probes), CURE)
+        llvm = str(wanted).startswith("llvm")
+        words = "; ".join(f"{p.library}: {p.message}" if p.library else p.message for p in probes)
+        words = words or ("not tried" if not probe else "no library found" if llvm else "no NVIDIA driver found")
+        raise MissingPartError(f"variant {wanted} ({source}) failed its probe render ({words}); {CURE if llvm else CUDA_CURE}")
+    cure = f"{CURE}; {CUDA_CURE}" if any(p.variant.startswith("cuda") for p in probes) else CURE
+    return VariantChoice(SCALAR, "", "no faster variant passed its probe render", tuple(probes), cure)
 
 
 def _libraries_for(variant: str) -> tuple[str, ...]:

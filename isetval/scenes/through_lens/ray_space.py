@@ -46,7 +46,7 @@ def ray_space_irradiance(
     light_factor : float
         Named factor on the light (3.96 or 3.54 for a lens file that holds half the pupil); the blur stays as it is.
     variant : str
-        ``"auto"`` takes LLVM or CUDA where the probe passes.  ``"scalar_spectral"`` gives the same means at about a
+        ``"auto"`` takes CUDA or LLVM where the probe passes.  ``"scalar_spectral"`` gives the same means at about a
         hundredth of the speed: for small regions.
 
     Returns

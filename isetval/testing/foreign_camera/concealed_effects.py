@@ -21,7 +21,7 @@ def _quadrature(own: str, theirs: str, constant: str, scale: float = 1.0) -> Val
 def _crosstalk(p: Mapping[str, Any], camera: Camera) -> dict[str, float]:
     leak = p["leak"]
     near, far = leak / (1 - leak), leak / 2 / (1 - leak)
-    return {"eps_rg": near, "eps_gr": far, "eps_gb": far, "eps_bg": near, "eps_rb": 0.0, "eps_br": 0.0}
+    return {"leak": leak, "eps_rg": near, "eps_gr": far, "eps_gb": far, "eps_bg": near, "eps_rb": 0.0, "eps_br": 0.0}
 
 
 def _effect(key: str, amplitude: Mapping[str, Any], practice: str, **more: Any) -> Concealed:
