@@ -154,7 +154,8 @@ class RawFiltering(Effect):
     """Noise reduction, or sharpening, in the "raw": neighbours of the same colour are mixed in, or taken off.
 
     Mixed in (w > 0), MTF falls and noise is correlated; taken off (w < 0), MTF and noise rise and neighbours are anticorrelated.
-    The neighbour covariance of darks shows both.
+    The neighbour covariance of darks shows both.  Makers' kernels differ: ``aspect`` 1 filters along rows only, -1 along columns
+    only; ``diagonal`` adds the four diagonal neighbours (1: a square; w for w along rows and then columns).
 
     ``form``: "whole codes", rounded before and after, where a weight of .04 moves few pixels of a dark by half a code, or
     "before rounding", on values finer than the file's codes, as of a processor that keeps fractions: darks lose their noise too.
@@ -172,11 +173,17 @@ class RawFiltering(Effect):
         "defocus",
     )
     halo_px = 2
-    equation = "(1 - 4 w) DN + w (sum of the 4 nearest of the same colour), before the converter rounds"
+    equation = "(1 - 4 w (1 + q)) DN + w ((1 + a) (left + right) + (1 - a) (up + down) + q (4 diagonal)), all of the same colour"
     reference = "first-order smoothing kernel; e.g. Gonzalez & Woods, Digital Image Processing, sec. 3.5"
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": FILTER_FORMS}
 
     weight: float = parameter(0.0, unit="1", low=-0.2, high=0.2, tau=0.02, doc="weight w of a neighbour; < 0 sharpens")
+    aspect: float = parameter(
+        0.0, unit="1", low=-1.0, high=1.0, tau=0.5, shape=True, doc="a: more along rows, less along columns"
+    )
+    diagonal: float = parameter(
+        0.0, unit="1", low=0.0, high=1.0, tau=0.3, shape=True, doc="weight q of a diagonal neighbour over w"
+    )
     form: str = FILTER_FORMS[0]
 
     def apply(self, signal: Signal, context: Context) -> Signal:
@@ -189,12 +196,17 @@ class RawFiltering(Effect):
         if rounds:
             np.rint(values, out=values)
         old = values.copy()
-        for axis in (1, 2):
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -step), slice(step, None)
-            flow = self.weight * (old[tuple(high)] - old[tuple(low)])
-            values[tuple(low)] += flow
-            values[tuple(high)] -= flow
+        every, first, last = slice(None), slice(None, -step), slice(step, None)
+        for share, here, there in (
+            (1 + self.aspect, (every, every, first), (every, every, last)),
+            (1 - self.aspect, (every, first, every), (every, last, every)),
+            (self.diagonal, (every, first, first), (every, last, last)),
+            (self.diagonal, (every, first, last), (every, last, first)),
+        ):
+            if share:
+                flow = self.weight * share * (old[there] - old[here])
+                values[here] += flow
+                values[there] -= flow
         return signal.with_values(np.rint(values) if rounds else values)
 
 

@@ -59,6 +59,26 @@ def test_smoothing_mixes_pixels_of_one_colour(place):
     assert [mono[3, 4], mono[5, 4], mono[4, 3], mono[4, 5]] == [10] * 4
 
 
+@pytest.mark.parametrize(
+    ("shape", "kernel"),
+    [
+        ({"aspect": 1.0}, np.outer([0, 1, 0], [0.2, 0.6, 0.2])),
+        ({"aspect": -1.0}, np.outer([0.2, 0.6, 0.2], [0, 1, 0])),
+        (
+            {"diagonal": 0.1 / 0.8},
+            np.outer([0.1, 0.8, 0.1], [0.1, 0.8, 0.1]),
+        ),  # rows, then columns: w' = w (1 - 2 w), q = w / (1 - 2 w)
+    ],
+)
+def test_kernels_of_other_makers_have_a_shape(place, shape, kernel):
+    spike = np.zeros((1, 9, 9))
+    spike[0, 4, 4] = 1000
+    weight = 0.08 if "diagonal" in shape else 0.1
+    out = run(RawFiltering(weight=weight, **shape), spike, place(window=(0, 0, 9, 9), mode="expected"))
+    np.testing.assert_allclose(out[2:7:2, 2:7:2], 1000 * kernel, atol=1e-9)
+    assert np.count_nonzero(out) == np.count_nonzero(kernel)
+
+
 def test_smoothing_correlates_noise_two_pixels_apart(place):
     rng, w = np.random.default_rng(2), 0.1
     noise = 500 + 20 * rng.standard_normal((1, 256, 256))

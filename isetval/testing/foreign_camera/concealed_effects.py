@@ -195,7 +195,13 @@ EFFECTS = (
     _effect("linearization_table", {"log": 0.04}, "a table that was not undone", also=("nonlinearity",)),
     _effect("gain_map_applied", {"share": 0.15}, "a seventh of the fall-off taken back", seen=FIELD, also=("cos4",)),
     _effect("digital_gain", {"gain": 0.01}, OWN, fixed={"above_s": 0.06}, values=_same(gain="gain")),
-    _effect("raw_filtering", {"weight": 0.04}, OWN, seen=DARK, values=_same(weight="weight")),
+    _effect(  # along rows and then columns: of w the nearest get w (1 - 2 w), the diagonal ones w^2
+        "raw_filtering",
+        {"weight": 0.04},
+        OWN,
+        seen=DARK,
+        values=lambda p, c: {"weight": p["weight"] * (1 - 2 * p["weight"]), "diagonal": p["weight"] / (1 - 2 * p["weight"])},
+    ),
     _effect(
         "wrong_black_tag",
         {"codes_more": 1.0},
