@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate
 from isetval.loop.focus_chain import at_same_focus, focus_shifts, through_focus
-from isetval.loop.prediction import RANDOM_SEEDS, SIGNATURE_SEEDS, Point
+from isetval.loop.onsets import DETECTED, past_the_onset, where_it_shows
+from isetval.loop.prediction import SIGNATURE_SEEDS, Point
 from isetval.loop.problem import Problem
+from isetval.loop.secants import may_step, profiled, secants, still_shows
 
 Float = NDArray[np.float64]
 STRONG = 80.0  # sigmas of a secant beyond which it is taken again closer to the null: the metrics bend before that
 WANTED = 50.0  # sigmas of the new secant: far above the noise of common random numbers, well inside the linear range
-BEYOND = 1000.0  # prior widths between a null and anything that a plan could reach
-ONSET = 0.01  # of a value, to which the place where an effect begins to show is found: well within its prior's width
-DETECTED = 5.0  # sigmas within the prior's width below which an effect would hardly be named
-FARTHER = (2.0, 4.0)  # prior widths: four are met once in 16,000
-ONSETS = 0.5  # a bend that is no threshold leaves at least half the slope: a square root of a strength twice as far gives .7
+ODD = 0.33  # share of a secant of `WANTED` sigmas that turns its sign with the parameter: at 8 sigmas it is as long as the rest,
+# which goes as the square
 SHORTENED = 3  # times that small shots are asked: twice as all shots are, and once whether anything is left to see
 
 
@@ -54,34 +53,52 @@ def signatures(
     """
     steps = [_steps(c) for c in wanted]
     _shorten_by_small_shots(problem, point, wanted, steps, project)
-    columns = _secants(problem, point, wanted, steps)
+    columns = secants(problem, point, wanted, steps)
     _other_side(problem, point, wanted, steps, columns)
-    _past_the_onset(problem, point, wanted, steps, columns)
-    wanted = _where_it_shows(problem, point, wanted, steps, columns)
+    past_the_onset(problem, point, wanted, steps, columns)
+    wanted = where_it_shows(problem, point, wanted, steps, columns)
     for _ in range(2):
         again, before = [], (list(steps), list(columns))
-        for i, white in enumerate(_profiled(problem, [c * s for c, s in zip(columns, steps, strict=True)], project)):
+        for i, white in enumerate(profiled(problem, [c * s for c, s in zip(columns, steps, strict=True)], project)):
             length = np.linalg.norm(white, axis=0)
             if np.any(length > STRONG):
                 steps[i] = _closer(wanted[i], steps[i], length)
                 again.append(i)
         if not again:
             break
-        for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
-            seen = _still_shows(*problem.whitened_each([column, before[1][i]]))
+        for i, column in zip(again, secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
+            seen = still_shows(*problem.whitened_each([column, before[1][i]]))
             columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
+    _without_what_is_even(problem, point, wanted, steps, columns, project)
     wanted = [replace(c, code_steps=_code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     columns = _through_focus(problem, point, wanted, steps, columns, focus)
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
 
 
-def _still_shows(shorter: Float, longer: Float) -> bool:
-    """Whether a shorter step shows per unit what a longer one does, at least `ONSETS` of it, in whitened columns.
+def _without_what_is_even(
+    problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float], project: Float
+) -> None:
+    """Secants of lenses' effects that may have either sign become means of both sides, in place, where enough is left.
 
-    What bends shows more per unit near its null.  What begins at a threshold (a clip below the brightest level) shows nothing
-    of what it does beyond, or the tail of the noise only: there the longer step stays.
+    Sharpness is even in what a pupil does to its phase, but for what goes with the focus: two foci that part sharpen one edge in
+    front of it and blur the other by as much as they part, and what is in focus by the square.  A secant of 56 sigmas was
+    mostly of the square, and took 14 of chi2 of 60 (`full-scoring-1315`).
     """
-    return bool(np.any(np.linalg.norm(shorter, axis=0) > ONSETS * np.linalg.norm(longer, axis=0)))
+    lens = [i for i, c in enumerate(wanted) if c.effect.stage == "optics" and c.effect.random == "none" and not c.side.any()]
+    longs = _profiled_steps(problem, lens, steps, columns, project)
+    bends = [i for i in lens if longs[i].max(initial=0.0) > DETECTED and may_step(wanted[i], -steps[i])]
+    behind = secants(problem, point, [wanted[i] for i in bends], [-steps[i] for i in bends])
+    middles = {i: (columns[i] + column) / 2 for i, column in zip(bends, behind, strict=True)}
+    for i, odd in _profiled_steps(problem, bends, steps, middles, project).items():
+        columns[i] = np.where(odd > ODD * longs[i], middles[i], columns[i])
+
+
+def _profiled_steps(
+    problem: Problem, some: Sequence[int], steps: Sequence[Float], columns: Sequence[Float] | Mapping[int, Float], project: Float
+) -> dict[int, Float]:
+    """Sigmas of steps (parameters,) that no nuisance can do as well, of some candidates by their place."""
+    white = profiled(problem, [columns[i] * steps[i] for i in some], project)
+    return {i: np.linalg.norm(w, axis=0) for i, w in zip(some, white, strict=True)}
 
 
 def _closer(candidate: Candidate, steps: Float, length: Float) -> Float:
@@ -113,12 +130,12 @@ def _shorten_by_small_shots(
     todo, before = list(range(len(wanted))), list(steps)
     longer: dict[int, Float] = {}
     for _ in range(SHORTENED):
-        columns = _secants(problem, point, [wanted[i] for i in todo], [steps[i] for i in todo], only=small)
+        columns = secants(problem, point, [wanted[i] for i in todo], [steps[i] for i in todo], only=small)
         again = []
         for i, column, all_rows in zip(todo, columns, problem.whitened_each(columns), strict=True):
             white = all_rows[shots]
             lengths = length(white * steps[i])
-            if not (_still_shows(white, longer[i]) if i in longer else column.any()):
+            if not (still_shows(white, longer[i]) if i in longer else column.any()):
                 steps[i] = before[i]
             elif np.any(lengths > STRONG):
                 longer[i] = white
@@ -154,81 +171,8 @@ def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], ste
         if turned.any():
             steps[i] = np.where(turned, -steps[i], steps[i])
             again.append(i)
-    for i, column in zip(again, _secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
+    for i, column in zip(again, secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
         columns[i] = column
-
-
-def _past_the_onset(
-    problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]
-) -> None:
-    """What begins beyond its prior's width, and shows less than `DETECTED` within it, steps farther, in place.
-
-    A pixel that is said to be full at 6000 electrons, and is at 4800, shows in a step of 500 nothing but the noise's tail of a
-    flat of 5000.  Twice or four times the width is within what priors allow; the slope there has to be larger.
-    """
-    todo = [i for i, c in enumerate(wanted) if len(c.parameters) == 1 and (c.present or columns[i].any())]
-    shown = problem.whitened_each([columns[i] for i in todo])
-    todo = [i for i, white in zip(todo, shown, strict=True) if _shown(wanted[i], white) <= DETECTED]
-    for times in FARTHER:
-        ways = {i: times * np.sign(steps[i]) * wanted[i].tau for i in todo}
-        ways = {i: way for i, way in ways.items() if _is_within(wanted[i], way)}
-        found = _secants(problem, point, [wanted[i] for i in ways], list(ways.values()))
-        todo = []
-        for (i, way), column in zip(ways.items(), found, strict=True):
-            within, beyond = problem.whitened_each([columns[i], column])
-            if not _still_shows(within, beyond) and _shown(wanted[i], beyond) > DETECTED:
-                columns[i], steps[i] = column, way
-            else:
-                todo.append(i)
-
-
-def _shown(candidate: Candidate, white: Float) -> float:
-    """Sigmas that the prior's width of a single parameter makes, by a whitened secant per unit (rows, 1)."""
-    return float(np.linalg.norm(white) * candidate.tau[0])
-
-
-def _is_within(candidate: Candidate, step: Float) -> bool:
-    (p,) = candidate.parameters
-    return bool(p.low < candidate.nominal[0] + step[0] < p.high)
-
-
-def _where_it_shows(
-    problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]
-) -> list[Candidate]:
-    """Absent effects whose null lies beyond what the plan reaches (a well of 1e9 electrons) start where they begin to show.
-
-    Their steps and columns are written in place; the prior is then about the place where the effect first shows.
-    """
-    out = list(wanted)
-    for i, c in enumerate(wanted):
-        if c.present or len(c.parameters) > 1 or columns[i].any() or c.parameters[0].low <= 0 or c.nominal[0] < BEYOND * c.tau[0]:
-            continue
-        onset = _onset(problem, point, c)
-        if onset is None:
-            continue
-        (p,) = c.parameters
-        out[i] = replace(c, effect=c.effect.changed(**{p.name: onset}), parameters=(replace(p, high=onset),))
-        steps[i] = np.array([-min(c.tau[0], onset - p.low)])
-        (columns[i],) = _secants(problem, point, [out[i]], [steps[i]])
-    return out
-
-
-def _onset(problem: Problem, point: Point, candidate: Candidate) -> float | None:
-    """The value, to `ONSET`, above which a parameter that is far above everything shows nothing; None if it never shows."""
-    model, (key,) = candidate.model_with(point.model), candidate.keys
-
-    def shows(value: float) -> bool:
-        places = [point, Point(model.with_values({key: value}), point.values)]
-        here, there = problem.predictor.derivative_vectors(places, SIGNATURE_SEEDS)
-        return bool(np.nan_to_num(there - here).any())
-
-    low, high = candidate.parameters[0].low, float(candidate.nominal[0])
-    if not shows(low):
-        return None
-    while high > (1 + ONSET) * low:
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if shows(middle) else (low, middle)
-    return high
 
 
 def _through_focus(
@@ -254,57 +198,3 @@ def _through_focus(
     for (i, k, h, after), vector in zip(parts, vectors, strict=True):
         out[i][:, k] = np.nan_to_num(vector - here) / h + through_focus(problem, before, after, h)
     return out
-
-
-def _profiled(problem: Problem, columns: Sequence[Float], project: Float) -> list[Float]:
-    return [white - project @ (project.T @ white) for white in problem.whitened_each(columns)]
-
-
-def _secants(
-    problem: Problem,
-    point: Point,
-    wanted: Sequence[Candidate],
-    steps: Sequence[Float],
-    only: Collection[str] | None = None,
-) -> list[Float]:
-    """Raw secants, zero elsewhere than in the shots ``only``; of effects that draw numbers over both signs or more seeds.
-
-    A row that is none a step ahead (a plane at full well, which more gain lifts over the converter's end) has the secant of a
-    step back.
-    """
-    out: dict[int, Float] = {}
-    kinds = [(c.effect.random != "none", c.effect.draws_normals and not c.present) for c in wanted]
-    for seeds, random, mirrored in ((SIGNATURE_SEEDS, False, False), (SIGNATURE_SEEDS, True, True), (RANDOM_SEEDS, True, False)):
-        chosen = [i for i, kind in enumerate(kinds) if kind == (random, mirrored)]
-        ahead = dict(zip(chosen, _one_sided(problem, point, [(wanted[i], steps[i]) for i in chosen], seeds, only), strict=True))
-        lost = [i for i in chosen if np.isnan(ahead[i]).any() and _may_step(wanted[i], -steps[i])]
-        back = dict(zip(lost, _one_sided(problem, point, [(wanted[i], -steps[i]) for i in lost], seeds, only), strict=True))
-        out |= {i: np.nan_to_num(np.where(np.isnan(c), back.get(i, np.nan), c)) for i, c in ahead.items()}
-    return [out[i] for i in range(len(wanted))]
-
-
-def _one_sided(
-    problem: Problem,
-    point: Point,
-    stepped: Sequence[tuple[Candidate, Float]],
-    seeds: tuple[int, ...],
-    only: Collection[str] | None,
-) -> list[Float]:
-    """Raw secants (metrics, parameters) of candidates by their steps; nan where a row is lost by the step, 0 where it is none."""
-    if not stepped:
-        return []
-    points = [point]
-    for candidate, steps in stepped:
-        model = candidate.model_with(point.model)
-        for key, value, h in zip(candidate.keys, candidate.nominal, steps, strict=True):
-            points.append(Point(model.with_values({key: value + h}), point.values))
-    of_noise = any(candidate.effect.random != "none" for candidate, _ in stepped)
-    vectors = iter(problem.predictor.derivative_vectors(points, seeds, of_noise=of_noise, only=only))
-    here = next(vectors)
-    known = np.isfinite(here)[:, None]
-    return [np.where(known, np.column_stack([(next(vectors) - here) / h for h in steps]), 0.0) for _, steps in stepped]
-
-
-def _may_step(candidate: Candidate, step: Float) -> bool:
-    there = candidate.nominal + step
-    return bool(all(p.low <= v <= p.high for p, v in zip(candidate.parameters, there, strict=True)))

@@ -1,0 +1,64 @@
+"""What bends and may have either sign: at the strength at which it is first seen, its slope counts and not its square."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from isetval.core.campaign import Campaign
+from isetval.core.metric import Metric
+from isetval.loop.base import Base
+from isetval.loop.block_factor import factor
+from isetval.loop.candidates import candidates_for
+from isetval.loop.fit import fit
+from isetval.loop.prediction import Point
+from isetval.loop.problem import Problem
+from isetval.loop.score_test import make_frame, score
+from isetval.loop.signatures import signatures
+
+ROWS = 4
+
+
+class TwoFoci:
+    """Sharpness with astigmatism c: one row goes by c, one by its square, as edges out of focus and in focus do."""
+
+    def __init__(self, slope, square):
+        self.plan, self.slope, self.square = Campaign("plan", ()), slope, square
+        self.table = SimpleNamespace(metrics=[Metric("mtf", 0.0, 1.0, "1", family="mtf")] * ROWS)
+
+    def small_shots(self, point):
+        return frozenset()
+
+    def derivative_vectors(self, points, seeds, of_noise=False, only=None):
+        waves = [p.model.value("astigmatism.rms_waves") if p.model.effect("astigmatism") is not None else 0.0 for p in points]
+        return [np.array([self.slope * c, self.square * c * c, 0.0, 0.0]) for c in waves]
+
+
+def made(model, slope, square, waves=0.0):
+    camera = TwoFoci(slope, square)
+    measured = np.array([slope * waves, square * waves**2, 0.0, 0.0])
+    base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
+    problem = Problem(
+        camera, Point(model), base, measured, np.arange(ROWS), factor(np.eye(ROWS)), np.zeros(ROWS), base.covariance
+    )
+    wanted = [c for c in candidates_for(model) if c.name == "astigmatism"]
+    (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((ROWS, 0)))
+    return problem, signature
+
+
+def test_the_slope_is_seen_beside_a_square_that_is_longer_at_fifty_sigmas(model):
+    """8 sigmas of slope on the side that was not stepped to, 5.6 of square: one side's secant would see none of it."""
+    problem, signature = made(model, slope=250.0, square=5500.0, waves=-0.032)
+    (step,) = signature.steps
+    assert 5500 * step > 250  # at the step the square is longer
+    np.testing.assert_allclose(signature.columns[:, 0], [250, 0, 0, 0], atol=1e-6)
+    found = score(make_frame(fit(problem, problem.origin, ())), problem.whitened(signature.columns))
+    assert found.dchi2 == pytest.approx(64.0)
+    one_side = np.array([250.0, 5500.0 * step, 0, 0])
+    assert (one_side @ problem.measured) ** 2 / (one_side @ one_side) < 1
+
+
+def test_of_what_is_even_the_secant_stays(model):
+    """Both sides of a square cancel: nothing would be seen of it at all."""
+    _, signature = made(model, slope=0.0, square=20000.0)
+    assert signature.columns[1, 0] == pytest.approx(20000 * signature.steps[0])
