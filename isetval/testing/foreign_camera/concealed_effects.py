@@ -240,7 +240,8 @@ EFFECTS = (
         values=_same(width_px="width_px"),
         also=("charge_diffusion",),
     ),
-    _effect("diffraction", {"f_number": 0.05}, "a pupil 5 % smaller than stated", seen=EDGES, values=_same(f_number="f_number")),
+    # a smaller pupil narrows the cone out of focus as well, which the catalogue's number leaves to the aperture: no common value
+    _effect("diffraction", {"f_number": 0.05}, "a pupil 5 % smaller than stated", seen=EDGES),
     _effect("field_curvature", {"sag_um": 4.0}, "depth of focus at F/1.7 is 2 um", seen=EDGES, values=_same(kappa_um="sag_um")),
     _effect("sensor_tilt", {"x_deg": 0.05, "y_deg": -0.03}, "active alignment reaches 0.05 deg", seen=EDGES),
     _effect("axial_color", {"primary_um": 1.5, "secondary_um": 0.5}, "plastic lenses: a few um", seen=EDGES),
