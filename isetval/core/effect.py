@@ -200,7 +200,7 @@ class Effect:
         return _parameters_of(cls)  # type: ignore[arg-type]  # a class is hashable (mypy 11469)
 
     def own_parameters(self) -> tuple[ParameterInfo, ...]:
-        """The physical parameters with the bounds of a diagnosis, from where the effect stands."""
+        """The physical parameters that its form reads, with the bounds of a diagnosis, from where the effect stands."""
         return self.parameters()
 
     def as_stated(self: EffectType) -> EffectType:
