@@ -67,9 +67,18 @@ def test_a_person_may_choose_what_is_hidden(nominal):
     assert stronger.rate_e_per_s == nominal.value("dark_current.rate_e_per_s") + HIDE_TAU * tau
 
 
+def test_an_effect_with_forms_is_hidden_in_the_one_that_is_named(nominal):
+    """Without a value the form that stands first moves what it reads; the others' numbers stay away."""
+    matrix, neighbors = (chosen_hidden(nominal, f"spectral_crosstalk{more}") for more in ("", ":form=neighbors,leak=0.02"))
+    assert (matrix.form, matrix.leak, neighbors.form, neighbors.leak) == ("matrix", 0.0, "neighbors", 0.02)
+    assert matrix.eps_rg > 0 == neighbors.eps_rg
+
+
 @pytest.mark.parametrize(
     ("hide", "said"),
     [
+        ("spectral_crosstalk:leak=0.02", "form 'matrix' does not read; it needs form = 'neighbors'"),
+        ("spectral_crosstalk:form=next,leak=0.02", "form is 'next'; it needs one of matrix, neighbors"),
         ("veiling_glear", "near it: veiling_glare"),
         ("veiling_glare:gama=0.1", "--hide gama=0.1: effect veiling_glare has no 'gama'"),
         ("veiling_glare:gamma=2", "it needs 0 to 1"),

@@ -79,7 +79,7 @@ def chosen_hidden(nominal: CameraModel, hide: str) -> Effect:
     else:
         given = {
             p.name: min(start.values()[p.name] + HIDE_TAU * p.tau, p.high)
-            for p in start.parameters()
+            for p in start.own_parameters()
             if p.tau is not None and not p.shape
         }
     hidden = start.changed(**given, source="demo")

@@ -155,7 +155,8 @@ class RawFiltering(Effect):
 
     Mixed in (w > 0), MTF falls and noise is correlated; taken off (w < 0), MTF and noise rise and neighbours are anticorrelated.
     The neighbour covariance of darks shows both.  Makers' kernels differ: ``aspect`` 1 filters along rows only, -1 along columns
-    only; ``diagonal`` adds the four diagonal neighbours (1: a square; w for w along rows and then columns).
+    only; ``diagonal`` adds the four diagonal neighbours (1: a square;
+    of weights v along rows and then columns w = v (1 - 2 v), q = v / (1 - 2 v)).
 
     ``form``: "whole codes", rounded before and after, where a weight of .04 moves few pixels of a dark by half a code, or
     "before rounding", on values finer than the file's codes, as of a processor that keeps fractions: darks lose their noise too.

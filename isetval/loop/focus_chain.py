@@ -23,11 +23,16 @@ from isetval.loop.problem import Problem
 Float = NDArray[np.float64]
 
 
+def moves_focus(effect: Effect) -> bool:
+    """Whether an effect moves the film, as shots' focus errors do."""
+    return type(effect).focus_shift_um is not Effect.focus_shift_um
+
+
 def focus_shifts(problem: Problem, model: CameraModel, focus: Sequence[Parameter]) -> dict[str, float]:
     """What a model's effects add to each focus error in um, the mean over the shots whose rows feel it."""
     if not focus:
         return {}
-    shifting = [e for e in model.effects if type(e).focus_shift_um is not Effect.focus_shift_um]
+    shifting = [e for e in model.effects if moves_focus(e)]
     out = {f.label: 0.0 for f in focus}
     for label, shots in _shots_of(problem, focus).items() if shifting else ():
         contexts = [make_context(model, ShotSetup(shot)) for shot in shots]

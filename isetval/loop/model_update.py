@@ -152,10 +152,11 @@ def from_settings(effect: str, settings: Sequence[str], *, option: str = "--set"
                 raise InputError(f"{option} {word}: {value!r} is no number; {key} needs one in {numbers[key]}") from None
         elif key in effect_class.files():
             values[key] = value if value.startswith(PACKAGE_PREFIX) else str(Path(value).resolve())
-        elif key == "source":
+        elif key == "source" or key in effect_class.chosen():
             values[key] = value
         else:
-            known = [*numbers, *effect_class.files(), "source"]
+            words = [name for name in effect_class.chosen() if name not in numbers]
+            known = [*numbers, *effect_class.files(), *words, "source"]
             near = difflib.get_close_matches(key, known, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             raise InputError(f"{option} {word}: effect {effect} has no {key!r}; it has {', '.join(known)}{hint}")

@@ -22,8 +22,9 @@ def secants(
     steps: Sequence[Float],
     only: Collection[str] | None = None,
 ) -> list[Float]:
-    """Raw secants, zero elsewhere than in the shots ``only``; of effects that draw numbers over both signs or more seeds.
+    """Raw secants (metrics, parameters) per unit, by candidate; zero elsewhere than in the shots ``only``.
 
+    Of effects that draw numbers they are means over both signs or more seeds.
     A row that is none a step ahead (a plane at full well, which more gain lifts over the converter's end) has the secant of a
     step back.
     """

@@ -32,7 +32,7 @@ Say = Callable[[str], None]
 FLAGGED_BESIDE, FLAGGED_ALONE = 0.5, 0.95
 """Probability from which on it is said that something is left: of something unknown, beside a name, which claims to be the
 whole story while that is likelier than not; of anything at all, where nothing is named, against the 19 to 1 that names need
-(of the 113 true cameras whose trials are stored none is sure by .9: `data/stored/hidden_effects*.jsonl`)."""
+(of the true cameras whose trials are stored none is sure by .9: `data/stored/hidden_effects*.jsonl`)."""
 TOLD = 0.8  # share of the evidence of something unknown that its kinds are told up to
 MAX_TOLD = 5
 ALPHA = 0.01  # false alarms in a true model, all candidates or all unknowns of the laboratory together

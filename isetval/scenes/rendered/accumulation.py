@@ -4,8 +4,7 @@ Each pass is an independent estimate of the same image.  Mean and sum of squared
 float64 by Welford's update (Knuth, TAOCP 2, 4.2.2; merging: Chan, Golub and LeVeque 1983), and written
 after every pass, so that a killed render goes on where it was and ends with the same bits.  That holds for the scalar
 variant.  The others add the samples of a pixel in float32 and in no fixed order, on all cores or a GPU: one seed gives
-the same radiance to about 1e-6 of it (Mitsuba 3.9: 6e-7 at most in passes of 1000 samples a pixel, 6e-6 of 360 000), and
-to the bit only by chance.
+the same radiance to the rounding of such sums, some 1e-6 of it, and to the bit only by chance.
 """
 
 from __future__ import annotations
