@@ -20,7 +20,7 @@ figure, (ladder, budget) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constra
 found.plot(ladder)
 rows = [row for row in found.budget if row.family in ("dark_mean", "flat_mean", "flat_temporal_variance")]
 left = np.zeros(len(rows))
-for part in ("sampling", "specimen", "simulation", "contrast", "light"):
+for part in ("sampling", "specimen", "simulation", "light"):
     share = np.array([getattr(row, part) for row in rows])
     budget.barh([row.family for row in rows], share, left=left, label=part)
     left += share

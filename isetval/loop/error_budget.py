@@ -20,10 +20,10 @@ Float = NDArray[np.float64]
 class BudgetRow:
     """Shares of the variance of measured minus predicted in a family of metrics, and what is beyond that variance.
 
-    The first seven add up to 1: ``sampling`` is the noise of the captures (more frames), ``specimen`` what several shots share,
+    The first six add up to 1: ``sampling`` is the noise of the captures (more frames), ``specimen`` what several shots share,
     such as the fixed pattern of the same pixels (more places), ``simulation`` the finite number of simulated campaigns (more
-    replicas), ``contrast`` what noise does to contrasts near zero, ``render`` the finite number of rays in 3-D scenes (more
-    rays), ``color`` colors of patches that nobody knows, ``light`` the flicker between frames.
+    replicas), ``render`` the finite number of rays in 3-D scenes (more rays), ``color`` colors of patches that nobody knows,
+    ``light`` the flicker between frames.
 
     The others are mean squares of z beyond what that variance explains, in its unit: ``unexplained`` all of it, ``repeat``
     what set-ups made anew show of it (None without repeats), ``misfit`` what is left of it for the model; ``region`` is how
@@ -36,7 +36,6 @@ class BudgetRow:
     sampling: float
     specimen: float
     simulation: float
-    contrast: float
     render: float
     color: float
     light: float
@@ -74,12 +73,11 @@ def _parts(problem: Problem) -> dict[str, Float]:
     keep, base = problem.keep, problem.base
     table = problem.predictor.table
     total = np.diag(problem.covariance)[keep]
-    stated = (base.render, problem.noise_bias, problem.color_variance)
-    render, bias, color = (np.broadcast_to(part, len(table.metrics))[keep] for part in stated)
+    render, color = (np.broadcast_to(part, len(table.metrics))[keep] for part in (base.render, problem.color_variance))
     more = 1 / base.replicas
-    bias, color = np.minimum(bias, total), np.minimum(color, total)
+    color = np.minimum(color, total)
     # counts of rare events have their own law in place of the simulated
-    known = np.maximum((total - bias - color) / (1 + more) - render, 0.0)
+    known = np.maximum((total - color) / (1 + more) - render, 0.0)
     captures = np.clip(np.diag(base.covariance)[keep] - render, 0.0, known)
     sigma = np.array([table.metrics[i].sigma for i in keep])
     own = sigma**2 / np.maximum(table.sigma[keep] ** 2, 1e-300)
@@ -87,7 +85,6 @@ def _parts(problem: Problem) -> dict[str, Float]:
         "sampling": own * captures,
         "specimen": (1 - own) * captures,
         "simulation": captures * more,
-        "contrast": bias,
         "render": render * (1 + more),
         "color": color,
     }

@@ -8,7 +8,7 @@ second name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from isetval.core.effect import ParameterInfo
 from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
 from isetval.loop.candidates import Candidate, Held
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
+from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, first_steps, linear_model, refit
 from isetval.loop.investigation import BENDS, Investigation
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
@@ -28,7 +28,7 @@ from isetval.loop.unknown_evidence import Unknown, left_by
 
 Float = NDArray[np.float64]
 Say = Callable[[str], None]
-STEP_SHARE = 0.05  # of the prior's width: as the joint refits of candidates step
+STEP_SHARE = 0.05  # of the prior's width: the step of the columns that say whether a form is worth a fit
 FREE_SHARE = 0.1  # of the prior that the catalogue's form of an effect has: what a smooth other one, or a freed onset, has
 LEFT = 0.1  # how often a right form may be asked for another: what that costs is a few simulations
 
@@ -69,7 +69,7 @@ def _in_best_form_of(
     openings = _openings(found, name)
     if not (openings and (asked or something_left(case, found))):
         return found
-    fits = [found, *(_fitted(case, opened, found) for opened in _promising(case, found, name, openings, asked, lead))]
+    fits = [found, *(_fitted(case, *promising, found) for promising in _promising(case, found, name, openings, asked, lead))]
     if len(fits) == 1:
         return found
     scores = {f.fitted: case.score(f) + heard(f) for f in fits}
@@ -170,8 +170,10 @@ def something_left(case: Investigation, found: Hypothesis) -> bool:
 
 def _promising(
     case: Investigation, found: Hypothesis, name: str, openings: Sequence[Candidate], asked: bool, lead: float
-) -> list[Candidate]:
+) -> list[tuple[Candidate, dict[str, float]]]:
     """Openings whose further parameters promise strong evidence in the linear model about a fit, and enough to matter.
+
+    With each, how well that model says that its further parameters are known, by key.
 
     Of an effect that lies far behind the ``lead`` no form is asked for that would have to gain more than the linear
     model can be wrong by; where it is ``asked`` for in the place of another name, the best is worth a fit.
@@ -180,22 +182,22 @@ def _promising(
     more = [p for p in widest.parameters if p not in _form(found, name).parameters]
     columns = dict(zip((p.name for p in more), _columns(case, found, widest, more).T, strict=True))
     alone = weigh(linear_model(case.problem, found.fitted), ()).log_evidence
-    promised: list[tuple[float, Candidate]] = []
+    promised: list[tuple[float, Candidate, dict[str, float]]] = []
     for opened in openings:
         own = [p for p in more if p in opened.parameters]
         white = np.column_stack([columns[p.name] for p in own])
         if not white.any():
             continue
         term = Term(name, white, np.array([p.tau or 1.0 for p in own]), np.zeros(len(own)))
-        gain = weigh(linear_model(case.problem, found.fitted, [term]), (0,)).log_evidence - alone + float(np.log(FREE_SHARE))
-        promised.append((gain, opened))
+        weighed = weigh(linear_model(case.problem, found.fitted, [term]), (0,))
+        gain = weighed.log_evidence - alone + float(np.log(FREE_SHARE))
+        sigma = term.tau * np.sqrt(np.diag(weighed.covariance))[len(found.fitted.free) :]
+        keys = [f"{opened.klass}.{p.name}" for p in own]
+        promised.append((gain, opened, dict(zip(keys, map(float, sigma), strict=True))))
     promised.sort(key=lambda item: -item[0])
-    if asked:
-        return [opened for _, opened in promised[:1]]
     behind = lead - CLOSE_LOG_ODDS - case.score(found)
-    return [
-        opened for gain, opened in promised if gain > max(CLOSE_LOG_ODDS, promised[0][0] - CLOSE_LOG_ODDS, (1 - BENDS) * behind)
-    ]
+    least = -np.inf if asked else max(CLOSE_LOG_ODDS, promised[0][0] - CLOSE_LOG_ODDS, (1 - BENDS) * behind) if promised else 0.0
+    return [(opened, sigma) for gain, opened, sigma in promised[: 1 if asked else None] if gain > least]
 
 
 def _columns(case: Investigation, found: Hypothesis, opened: Candidate, more: Sequence[ParameterInfo]) -> Float:
@@ -217,11 +219,16 @@ def _columns(case: Investigation, found: Hypothesis, opened: Candidate, more: Se
     return case.problem.whitened(raw)
 
 
-def _fitted(case: Investigation, variant: Candidate, found: Hypothesis) -> Hypothesis:
-    """A hypothesis with one of its effects in another form, fitted from where its own fit ended."""
+def _fitted(case: Investigation, variant: Candidate, known: Mapping[str, float], found: Hypothesis) -> Hypothesis:
+    """A hypothesis with one of its effects in another form, fitted from where its own fit ended.
+
+    In steps as long as what is free will be ``known``: of a curve of nine components the data see three, and the steps of the
+    others are as wide as their priors.
+    """
     members = [variant if m.name == variant.name else m for m in found.members]
     start = {key: float(v) for m in found.effects for key, v in zip(m.keys, m.nominal, strict=True)}
     start |= dict(zip(variant.keys, map(float, variant.nominal), strict=True)) | dict(found.values)
     effects = [m for m in members if isinstance(m, Candidate)]
-    steps = {key: STEP_SHARE * float(tau) for m in effects for key, tau in zip(m.keys, m.tau, strict=True)}
+    sigma = {key: found.value(key)[1] for m in found.effects for key in m.keys} | dict(known)
+    steps = {key: h for m in effects for key, h in first_steps(m, start, sigma).items()}
     return refit(case.problem, case.prepared.model, found, members, start, steps)

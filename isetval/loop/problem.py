@@ -42,10 +42,9 @@ class Replicas:
 class Problem:
     """A measured campaign, what a model predicts for it at ``origin``, and the weights of the difference.
 
-    ``noise_bias`` and ``color_variance`` are parts of the covariance's diagonal, (metrics,): what is the prediction's and not the
-    captures', and what colors of patches that nobody knows make.  ``unseen`` (metrics, k) are columns of what captures
-    scatter by and replicas do not: light that flickers, colors, rounding, noise of renders.  ``numbers`` are what squares of a
-    true model's whitened rows sum to, by family.
+    ``color_variance`` (metrics,) is the part of the covariance's diagonal that colors of patches make which nobody knows.
+    ``unseen`` (metrics, k) are columns of what captures scatter by and replicas do not: light that flickers, colors, rounding,
+    noise of renders.  ``numbers`` are what squares of a true model's whitened rows sum to, by family.
     ``steps`` are shortened finite steps of nuisances, by label, and ``finer`` those by which means are differenced
     more finely; ``filling`` says which levels are full (`isetval.loop.shoulder`).
     """
@@ -63,7 +62,6 @@ class Problem:
     replicas: Mapping[str, Replicas] = field(default_factory=dict)
     steps: dict[str, float] = field(default_factory=dict)
     finer: set[str] = field(default_factory=set)
-    noise_bias: Float | float = 0.0
     color_variance: Float | float = 0.0
     unseen: Float = field(default_factory=lambda: np.zeros((0, 0)))
     filling: Filling | None = None

@@ -22,7 +22,6 @@ from isetval.loop.shoulder import filling
 
 Float = NDArray[np.float64]
 HOLDS = 1.0  # sigmas of a row: of variances 3 % in flats of 1600 pixels a plane, a third of what weights are known to
-SEEN = 3.0  # standard errors of a mean of replicas: what lies within may be chance
 
 
 def make_problem(
@@ -109,10 +108,9 @@ def weigh(problem: Problem) -> None:
     flicker, colors = marginal_columns(problem)
     covariance += gram(flicker) + gram(colors)
     problem.color_variance = np.sum(colors**2, axis=1)
-    problem.noise_bias = _bias_of_noise(problem)
     rounding = _rounding(problem, np.diag(covariance)) + (problem.filling.plateau if problem.filling else 0.0)
     problem.unseen = np.column_stack([flicker, colors, _each_alone(rounding + problem.base.render)])
-    covariance[np.diag_indices_from(covariance)] += rounding + problem.noise_bias
+    covariance[np.diag_indices_from(covariance)] += rounding
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
     covariance *= rare[:, None] * rare
     problem.covariance = covariance
@@ -176,16 +174,3 @@ def _each_alone(variance: Float) -> Float:
     columns = np.zeros((variance.size, rows.size))
     columns[rows, np.arange(rows.size)] = np.sqrt(variance[rows])
     return columns
-
-
-def _bias_of_noise(problem: Problem) -> Float:
-    """Squares of what noise adds to rows whose differences are taken without noise, (metrics,), where it is seen.
-
-    A contrast near zero is a length: noise turns and lengthens it, so that edges with and without noise differ by another amount.
-    The bias is known at the origin; elsewhere it is another, by about as much as it is large.  Without it the true camera at
-    22 um of defocus stood at a mean-square z of 29 to 41 (``tests/loop/test_noise_bias.py``).
-    """
-    base = problem.base
-    bias = np.where(problem.predictor.noise_free, np.nan_to_num(base.mean - problem.anchor), 0.0)
-    spread = np.diag(base.covariance) / base.replicas
-    return np.where(bias**2 > SEEN**2 * spread, bias**2, 0.0)

@@ -37,7 +37,7 @@ def _rows(comparison):
 
 
 def _shares(row):
-    return (row.sampling, row.specimen, row.simulation, row.contrast, row.render, row.color, row.light)
+    return (row.sampling, row.specimen, row.simulation, row.render, row.color, row.light)
 
 
 def test_of_a_true_model_nothing_is_beyond_the_error_bars(model, campaign):

@@ -64,13 +64,10 @@ def test_captures_stand_beside_simulations_on_one_scale(model, captures):
 def test_the_budget_adds_up_and_tells_a_wrong_model_from_a_right_one(result):
     rows = {(r["model"], r["family"]): r for r in result["budget"]}
     for row in rows.values():
-        assert sum(
-            row[k] for k in ("sampling", "specimen", "simulation", "contrast", "render", "color", "light")
-        ) == pytest.approx(1)
-        # R replicas add 1/R of the captures' variance; the flicker and what noise does to contrasts stand beside both
-        known = 1 - row["light"] - row["contrast"]
+        assert sum(row[k] for k in ("sampling", "specimen", "simulation", "render", "color", "light")) == pytest.approx(1)
+        # R replicas add 1/R of the captures' variance; the flicker stands beside both
+        known = 1 - row["light"]
         assert row["simulation"] == pytest.approx(known / (1 + result["settings"]["replicas"]))
-        assert row["contrast"] == 0 or row["family"] in ("mtf", "edge_dark_level", "edge_bright_level", "lateral_color")
     assert rows["pixel4a", "dark_mean"]["unexplained"] > 100
     assert rows["mended", "dark_mean"]["unexplained"] < 5 * np.sqrt(2 / rows["mended", "dark_mean"]["n"])
     told = {row["family"]: row["helps"] for row in budget(result)}

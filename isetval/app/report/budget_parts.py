@@ -11,7 +11,6 @@ PARTS = (
     ("sampling", "noise of the captures", "more frames"),
     ("specimen", "pattern of the specimen, shared by shots", "other places on the sensor"),
     ("simulation", "finite number of simulations", "more replicas"),
-    ("contrast", "what noise adds to edges, most to contrasts near zero", "more light on the edges"),
     ("render", "finite number of rays", "more rays"),
     ("color", "colors that nobody knows", "the camera's curves and the chart's reflectances"),
     ("light", "light between frames", "a steadier lamp"),

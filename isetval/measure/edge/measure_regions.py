@@ -55,8 +55,8 @@ def sfr(
         ``default``; ``iso12233:2000``, ``iso12233:2017``, ``iso12233:2023``: the published procedures; ``lyu2022``: the 2003-era
         procedure behind the paper's curves (demosaiced luminance, no slant and no derivative correction).
     choices : mapping or None
-        ``choices`` of another result, to make the same data-driven choices (order of the edge, width and
-        stiffness of the spline) again.
+        ``choices`` of another result, to make the same data-driven choices (order of the edge, width and stiffness of the
+        spline, noise that samples are weighted by) again.
     oecf : "srgb", number, pairs or None
         Curve of a rendered image, to be undone first: see ``isetval.measure.edge.samples.oecf_table``.  Raw data need none.
 

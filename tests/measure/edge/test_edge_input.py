@@ -86,8 +86,9 @@ def test_a_large_mixed_batch_equals_one_by_one():
     many = sfr_batch(captures, rois)
     for capture, roi, result in zip(captures, rois, many, strict=True):
         single = sfr(capture, roi)
-        assert (result.flags, result.warnings, result.choices) == (single.flags, single.warnings, single.choices)
+        assert (result.flags, result.warnings) == (single.flags, single.warnings)
         # sums in another order
+        assert result.choices == pytest.approx(single.choices, rel=1e-6)
         np.testing.assert_allclose(result.mtf, single.mtf, rtol=0, atol=1e-9)
         np.testing.assert_allclose(result.mtf_sigma, single.mtf_sigma, rtol=1e-6, atol=1e-9)
         for name in ("mtf50_cy_px", "mtf50_sigma", "angle_deg", "edge_row_px", "edge_col_px", "sagitta_px"):
