@@ -19,7 +19,7 @@ METRIC_VERSIONS = {
     "patches": 2,
     "photon_transfer": 7,
     "relative_illumination": 2,
-    "sfr": 3,
+    "sfr": 4,
     "uniform_patches": 1,
 }
 """A changed number is a changed metric version, and a line in CHANGELOG.md."""

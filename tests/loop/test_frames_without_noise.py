@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from isetval import load_model, simulate
+from isetval.camera.chain import ShotSetup
+from isetval.camera.exposing import expose
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
@@ -11,6 +13,7 @@ from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare, repeat_gate
+from isetval.measure.edge import sfr, sfr_batch
 
 TRUE = {"focus_um@set-up:e": 2.1, "edge_shift_px@set-up:e": 0.9}
 CORNER = {"exposure": Exposure(0.02), "light": "white", "frames": 2, "window": (300, 400, 64, 64)}
@@ -50,7 +53,7 @@ def test_the_true_camera_stands_far_from_focus(focus_um, most, kept_apart):
 
 @pytest.mark.parametrize(("name", "values"), [("coma", {"rms_waves": 0.03}), ("spherical", {"rms_waves": 0.05})])
 def test_a_derivative_is_what_noisy_captures_show(name, values, kept_apart):
-    """The flare of a coma is odd, which the prior of an ESF holds small: frames without noise showed 2.2 times of it."""
+    """The flare of a coma is odd, which the prior of an ESF holds small: frames without noise showed more of it."""
     model = pixel4a()
     shots = tuple(Shot(f"e{angle:g}", "edge", target=EdgeTarget("edge", angle_deg=angle), **CORNER) for angle in (5.0, 95.0))
     plan = Campaign("corner", shots, lights={"white": WHITE}, sensor=model.sensor)
@@ -62,3 +65,24 @@ def test_a_derivative_is_what_noisy_captures_show(name, values, kept_apart):
     # both bases are means of 16: a root of 2/16 along the direction that is looked at
     assert np.linalg.norm(foretold) > 10
     assert shown @ foretold / (foretold @ foretold) == pytest.approx(1, abs=0.02 + 3 * 0.35 / np.linalg.norm(foretold))
+
+
+def test_weights_of_their_own_make_frames_without_noise_answer_more(kept_apart):
+    """The bright level beside a flare: 24 noisy captures of either camera, and one without noise of each."""
+    model = pixel4a()
+    there = model.with_effect(catalogue()["coma"]().changed(rms_waves=0.06))
+    setup = ShotSetup(Shot("e", "edge", target=EdgeTarget("edge", angle_deg=5.0), **CORNER | {"frames": 24}), WHITE)
+    frames = [expose(camera, setup, seed) for seed, camera in enumerate((model, there))]
+    quiet = [expose(camera, setup.of_one_frame(), 0, mode="expected", rounded=False) for camera in (model, there)]
+    choices = sfr(frames[0][0]).choices
+
+    def change(captures, made):
+        levels = [[r.bright_dn for r in sfr_batch(list(own), [None] * len(own), choices=made)] for own in captures]
+        return np.mean(levels[1]) - np.mean(levels[0]), np.hypot(*(np.std(own) / np.sqrt(len(own)) for own in levels))
+
+    shown, sigma = change(frames, choices)
+    alike, _ = change(quiet, choices)
+    alone, _ = change(quiet, {k: v for k, v in choices.items() if not k.endswith("dn2")})
+    assert abs(shown) > 10 * sigma
+    assert alike / shown == pytest.approx(1, abs=0.05 + 3 * sigma / abs(shown))
+    assert alone / shown > 3  # 4.0

@@ -156,8 +156,8 @@ class _Task(PerRegion):
     def weights(self, found: SideNoise) -> SideNoise:
         """The noise by which samples are weighted: the chosen one, else that which was found.
 
-        The prior of an ESF draws the harder the noisier samples are said to be: frames without noise answered to a coma of .009
-        waves by twice what noisy ones do.  With the same weights both answer alike.
+        The prior of an ESF draws the harder the noisier samples are said to be: levels of frames without noise answered to the
+        flare of a coma by four times what noisy ones do.  With the same weights both answer alike.
         """
         if NOISE[0] not in self.chosen:
             return found
