@@ -21,9 +21,10 @@ Placed = Sequence[tuple[NDArray[np.intp], Sampled]]
 class Base:
     """Mean and covariance of the metrics at the nominal point, from ``replicas`` simulated campaigns.
 
-    ``values`` is (replicas, metrics); ``covariance`` (metrics, metrics) is of one campaign, scaled by
-    family and shot to the scatter that the replicas show; ``scale`` (metrics,) holds those factors of sigma.  ``render`` is
-    the part of its diagonal, (metrics,), that comes from the noise of renders.  ``samples`` are the replicas shot by shot.
+    ``values`` is (replicas, metrics); ``mean`` (metrics,) is that of all replicas of a shot, which may be ``further`` (metrics,)
+    ones; ``covariance`` (metrics, metrics) is of one campaign, scaled by family and shot to the scatter that the replicas show;
+    ``scale`` (metrics,) holds those factors of sigma.  ``render`` is the part of its diagonal, (metrics,), that comes from the
+    noise of renders.  ``samples`` are the replicas shot by shot.
     """
 
     mean: Float
@@ -32,11 +33,25 @@ class Base:
     scale: Float
     render: Float | float = 0.0
     samples: Mapping[str, Sampled] = field(default_factory=dict)
+    further: Float | float = 0.0
 
     @property
     def replicas(self) -> int:
         """Number of simulated campaigns."""
         return len(self.values)
+
+    @property
+    def number(self) -> Float:
+        """Of replicas behind each mean, (metrics,)."""
+        return np.asarray(self.replicas + np.broadcast_to(self.further, self.mean.shape))
+
+    def with_simulation(self, rows: NDArray[np.intp] | slice = slice(None)) -> Float:
+        """By what the covariance of some rows (n, n) grows where the mean of the simulations is taken off: 1 + 1/R.
+
+        Of means of R and of r campaigns, the first r of them the same, the covariance is 1/R of that of one.
+        """
+        number = self.number[rows]
+        return np.asarray(1 + 1 / np.maximum.outer(number, number))
 
 
 def gathered(placed: Placed, replicas: int, n: int) -> tuple[Float, Float]:
@@ -53,6 +68,14 @@ def gathered(placed: Placed, replicas: int, n: int) -> tuple[Float, Float]:
         loadings = np.hstack([part for _, part in parts])
         covariance[np.ix_(rows, rows)] += loadings.T @ loadings / len(loadings)
     return values, covariance
+
+
+def averaged(placed: Placed, n: int) -> tuple[Float, Float]:
+    """Means (n,) over all replicas that the shots have, and how many these are, (n,)."""
+    mean, number = np.zeros(n), np.ones(n)
+    for rows, sample in placed:
+        mean[rows], number[rows] = sample.values.mean(axis=0), len(sample.values)
+    return mean, number
 
 
 def scattered(placed: Placed, covariance: Float, metrics: Sequence[Metric]) -> Float:

@@ -74,7 +74,7 @@ def _parts(problem: Problem) -> dict[str, Float]:
     table = problem.predictor.table
     total = np.diag(problem.covariance)[keep]
     render, color = (np.broadcast_to(part, len(table.metrics))[keep] for part in (base.render, problem.color_variance))
-    more = 1 / base.replicas
+    more = 1 / base.number[keep]
     color = np.minimum(color, total)
     # counts of rare events have their own law in place of the simulated
     known = np.maximum((total - color) / (1 + more) - render, 0.0)

@@ -25,7 +25,7 @@ from isetval.core.metric import Differences, MetricTable
 from isetval.core.number_store import NumberStore
 from isetval.core.scene import ChartTarget, RenderedTarget
 from isetval.core.sensor import Roi
-from isetval.loop.base import Base, gathered, scattered
+from isetval.loop.base import Base, averaged, gathered, scattered
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
 from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part, sample_of, vectors_of
@@ -262,13 +262,13 @@ class Predictor:
     def base(self, point: Point, replicas: int = REPLICAS, *, darks: int = 0, known: Mapping[str, Sampled] | None = None) -> Base:
         """Mean, covariance and scatter of ``replicas`` simulated campaigns, each with its own specimen; some may be ``known``.
 
-        Of dark shots there are ``darks`` where that is more: what their error bars are scaled by is known from all of them.
+        Of dark shots there are ``darks`` where that is more: means and what error bars are scaled by are those of all of them.
         """
         every = [self.parts(point, BASE_SEED + r, derivative=False) for r in range(replicas)]
         further = self.only({shot.name for shot in self.shots if shot.role == "dark" and shot.given is None})
         more = [further.parts(point, BASE_SEED + r, derivative=False) for r in range(replicas, darks)] if further.shots else []
         count = min(COVARIANCE_REPLICAS, replicas)
-        samples = {name: replace(sample, values=sample.values[:replicas]) for name, sample in (known or {}).items()}
+        samples = dict(known or {})
         groups = [[parts[k] for parts in every] for k, shot in enumerate(self.shots) if shot.name not in samples]
         place = {shot.name: k for k, shot in enumerate(further.shots)}
         for group in groups if more else ():
@@ -282,7 +282,8 @@ class Predictor:
         scale = scattered(placed, measured_only(covariance, self.table), self.table.metrics)
         rendered = self._of_renders(every[0])
         covariance = with_stated_covariance(covariance * np.outer(scale, scale) + rendered, self.table, replicas)
-        return Base(values.mean(axis=0), covariance, values, scale, np.diag(rendered), samples)
+        mean, number = averaged(placed, len(self.keys))
+        return Base(mean, covariance, values, scale, np.diag(rendered), samples, number - replicas)
 
     def _of_renders(self, tasks: list[ShotPart]) -> Float:
         """Covariance from the noise of renders, which all replicas share and so do not show."""

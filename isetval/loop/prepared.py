@@ -292,7 +292,7 @@ def repeat_differences(
     for i, (a, b) in enumerate(rows):
         pick[i, a], pick[i, b] = 1.0, -1.0
     local = pick[:, problem.keep]
-    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / (1 + 1 / problem.base.replicas)
+    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / problem.base.with_simulation(problem.keep)
     spread = local @ covariance @ local.T + (
         _set_up_part(problem, fitted or prepared.fit_nuisances(prepared.model), local) if rows else 0.0
     )

@@ -104,7 +104,7 @@ def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np
 def weigh(problem: Problem) -> None:
     """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light), its factor, what rows hold."""
     keep = problem.keep
-    covariance = problem.base.covariance * (1 + 1 / problem.base.replicas)
+    covariance = problem.base.covariance * problem.base.with_simulation()
     flicker, colors = marginal_columns(problem)
     covariance += gram(flicker) + gram(colors)
     problem.color_variance = np.sum(colors**2, axis=1)

@@ -105,6 +105,13 @@ def test_error_bars_of_darks_are_known_from_further_replicas(model, plan, table,
     own = [m for m in table.metrics if m.shot == "dark"]
     np.testing.assert_allclose(more.scale[dark], scatter(values[:, dark], stated[np.ix_(dark, dark)], own), rtol=1e-9)
     assert np.any(more.scale[dark] != few.scale[dark])
+    np.testing.assert_allclose(more.mean[dark], values[:, dark].mean(axis=0), rtol=1e-12)
+    np.testing.assert_array_equal(more.mean[~dark], few.mean[~dark])
+    np.testing.assert_array_equal(more.number, np.where(dark, 12, 4))
+    # means of 12 and of 4, the first 4 of them the same: 1/12 of the covariance is common to both
+    larger = more.with_simulation()
+    assert {float(v) for v in larger[np.ix_(dark, ~dark)].ravel()} == {1 + 1 / 12}
+    assert {float(v) for v in larger[np.ix_(~dark, ~dark)].ravel()} == {1 + 1 / 4}
 
 
 def test_samples_survive_packing():
