@@ -173,6 +173,7 @@ def _rows(path):
 
 # %%
 def _sum_up(options):
+    from hidden_trials.draw import restated_s
     from hidden_trials.judge import judged
     from hidden_trials.page import write_page
     from hidden_trials.predicted import held_against
@@ -180,7 +181,7 @@ def _sum_up(options):
 
     import isetval
 
-    run = _rows(options.rows)
+    run = [row | {"expected_s": restated_s(row)} for row in _rows(options.rows)]
     empty = [row["id"] for row in run if row["hidden"] and not row.get("changes_bits", True)]
     rows = [(row, judged(row)) for row in run if row["id"] not in empty]
     if not rows:

@@ -12,6 +12,7 @@ import numpy as np
 
 from isetval.testing.foreign_camera.camera_file import nominal_camera
 from isetval.testing.foreign_camera.campaign import LENSES, in_setting
+from isetval.testing.foreign_camera.concealed import FROM_NOMINAL
 from isetval.testing.foreign_camera.concealed_effects import EFFECTS
 from isetval.testing.foreign_camera.concealed_strangers import FORMS, OUTSIDERS
 from isetval.testing.foreign_camera.strengths import ALL, measured_strengths, strength_for, visible
@@ -99,6 +100,18 @@ def _turn(kind, number):
 def _expected(concealed, strength, plan, lens):
     one = measured_strengths().get(f"{plan}/{lens}", {}).get(concealed.key)
     return None if one is None else round(one * strength**concealed.power, 2)
+
+
+def restated_s(row):
+    """What a stored trial stands out by, as the laws of strength are known now (of patterns a square, which two had not)."""
+    out = []
+    for (key, parameters), stored in zip(row["hidden"].items(), row["expected_s"], strict=True):
+        own = ALL[key]
+        size = next((s for s in own.amplitude.items() if isinstance(s[1], int | float) and s[1]), None)
+        if own.scaled and size and key not in FROM_NOMINAL:
+            stored = _expected(own, parameters[size[0]] / size[1], row["plan"], row["lens"])
+        out.append(stored)
+    return out
 
 
 def _chosen(kind, turn, seeds, plan, level):

@@ -58,7 +58,7 @@ def targets(rows):
     first, faint = (lambda r: r[1].get("first_right")), (lambda r: bool(r[1].get("named")) and not r[1]["first_right"])
     practice = at(single, "practice")
     loud = [r for r in practice if (r[0]["expected_s"][0] or 0) >= 8]
-    out_strong = [r for r in outsider if r[0]["level"] != "practice" or (r[0]["expected_s"][0] or 0) >= 8]
+    out_strong = [r for r in outsider if (r[0]["expected_s"][0] or 0) >= 8]
     return [
         ("false attribution on nulls", "<= 1 %", share(of("null"), lambda r: r[1]["outcome"] not in QUIET)),
         ("nulls answered", "100 %", share(of("null"), lambda r: r[1]["answered"])),

@@ -33,6 +33,16 @@ def test_five_hundred_trials_hold_what_the_issue_asks_for():
     assert all(len({tr["name"] for tr in t.truths}) == 2 for t in drawn if t.kind == "pair")
 
 
+def test_stored_strengths_are_restated_by_the_laws_of_now():
+    """Of a pattern half as deep a quarter shows, its variance; laws that stand say again what is stored."""
+    drawn = [t.row() for t in draw.trials(300, seeds="scoring", plan="small")]
+    for row in drawn:
+        assert draw.restated_s(row) == pytest.approx(row["expected_s"], rel=2e-3)
+    row = next(r for r in drawn if "row_bands" in r["hidden"] and r["level"] == 15.0)
+    half = row | {"hidden": {"row_bands": {"depth": row["hidden"]["row_bands"]["depth"] / 2}}}
+    assert draw.restated_s(half) == pytest.approx([15 / 4], rel=1e-2)
+
+
 def _row(kind, truths, verdict, effects, **more):
     named = [
         {"name": n, "posterior": p, "equivalent": list(same), "parameters": {"x": {"value": 3.0, "sigma": 0.5}}}

@@ -59,9 +59,9 @@ def _outsider(key: str, amplitude: Mapping[str, Any], practice: str, **more: Any
 OUTSIDERS = (
     _outsider("light_leak", {"e_per_s": 600.0}, OWN, seen=FIELD, fixed={"x": -0.45, "y": 0.4}),
     _outsider("stitched_half", {"share": 0.003}, OWN, seen=FIELD),
-    _outsider("diagonal_hatch", {"share": 0.004}, OWN),
+    _outsider("diagonal_hatch", {"share": 0.004}, OWN, power=2),
     _outsider("shutter_travel", {"last_row_late_s": 2e-5}, OWN, seen=FIELD),
-    _outsider("row_bands", {"depth": 0.003}, OWN, also=("rolling_flicker",)),
+    _outsider("row_bands", {"depth": 0.003}, OWN, power=2, also=("rolling_flicker",)),
     _outsider("warming_lamp", {"first": 0.005}, OWN, also=("lamp_drift",)),
     _outsider("settling_rows", {"share": 0.001}, OWN, also=("amplifier_crosstalk",)),
     _outsider("missing_codes", {"every": 8}, OWN, seen=DARK, scaled=False),
