@@ -245,7 +245,7 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool, far
     its prior's width along another line than at the whole: something is seen to be there, and no signature tells what.  Or the
     hold-out's light stands many of its prior's sigmas off, for an effect that the captures used show by chance too faintly.
     """
-    fit_likely(case, say, first=first, far=far)
+    fit_likely(case, say, seen, first=first, far=far)
     rivals = _rivals(case, seen)
     lead = max(rivals, key=case.score, default=None)
     if lead is None:

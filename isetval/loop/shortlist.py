@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import zip_longest
 
 import numpy as np
@@ -25,14 +25,16 @@ BEND = 0.3  # relative size of what a right signature leaves by bending; its squ
 RANKED = 20  # subsets looked at for what to fit: those after them hold less than one in a hundred
 
 
-def fit_likely(case: Investigation, say: Say, *, first: bool, far: bool) -> None:
+def fit_likely(case: Investigation, say: Say, seen: Collection[Names], *, first: bool, far: bool) -> None:
     """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about.
 
     Other forms of each are asked for when all were fitted, the best first: of what lies far behind, all in the catalogue's forms,
     none is.  A knee between two of the catalogue's loses to a free curve of a bent response by 330 until its own place is free.
+    What was ``seen`` to stand and gave way cannot stand again, unless as a part of what stands.
     """
     fitted = []
-    wanted = _one_away(case) if far else _proposals(case, first=first)
+    proposed = _one_away(case) if far else _proposals(case, first=first)
+    wanted = [names for names in proposed if names not in seen or names < case.standing.names]
     many = first or (far and not case.standing.names)
     for i, names in enumerate(of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]):
         if not far and not (_worth_a_first_fit(case, names, i) if first else _worth_a_fit(case, names)):
