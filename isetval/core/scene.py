@@ -266,8 +266,8 @@ class Scene:
         Relative rise of the light from the middle to the end of the half diagonal, along x and y.
     radial : float
         Relative rise of the light with the square of the field radius (1 at the corner).
-    bow : (xx, yy)
-        Relative rise of the light with the squares of x and y, at the end of the half diagonal.
+    bow : (xx, yy, xy)
+        Relative rise of the light with the squares of x and y and with their product, at the end of the half diagonal.
     target_tilt : (x, y)
         Relative rise of the target's brightness from its middle to the border of the window.
     target_bow : (xx, yy, xy)
@@ -297,7 +297,7 @@ class Scene:
     target: Target | None = None
     tilt: tuple[float, float] = (0.0, 0.0)
     radial: float = 0.0
-    bow: tuple[float, float] = (0.0, 0.0)
+    bow: tuple[float, float, float] = (0.0, 0.0, 0.0)
     target_tilt: tuple[float, float] = (0.0, 0.0)
     target_bow: tuple[float, float, float] = (0.0, 0.0, 0.0)
     target_shift_px: tuple[float, float] = (0.0, 0.0)

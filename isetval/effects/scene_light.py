@@ -23,6 +23,10 @@ class LightNonuniformity(Effect):
 
     Seen in full-frame flats only (a chart stays in its place).  The odd part looks like decenter (rotate
     the camera), the even part like vignetting and microlens (shift the camera).
+
+    A lamp beside the axis is no tilt and a radial part alone: with the light of a point over a plane, (1 - 2 q + rho)^(-3/2),
+    q = L.r/D^2, rho = r^2/D^2, the second order is -3/2 rho + 15/2 q^2, and of q^2 half stands across the radius: ``saddle``
+    and ``twist``, for a lamp along x or y and between them.
     """
 
     name = "light_nonuniformity"
@@ -37,20 +41,24 @@ class LightNonuniformity(Effect):
         "prnu",
     )
     free = FreeAxis("field radius", "strength", 0.5)
-    equation = "L x (1 + a x + b y + c r^2), r = 1 at the corner"
+    equation = "L x (1 + a x + b y + c r^2 + d (x^2 - y^2) + 2 e x y), r = 1 at the corner"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.2 (homogeneity of the light source); second-order expansion"
     must_not_change = ("dark", "edge", "chart")
 
     tilt_x: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.02, doc="rise a along x")
     tilt_y: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.02, doc="rise b along y")
     radial: float = parameter(0.0, unit="1", low=-0.9, high=0.9, tau=0.03, doc="rise c at the corner")
+    saddle: float = parameter(0.0, unit="1", low=-0.9, high=0.9, tau=0.01, shape=True, doc="rise d along x and fall along y")
+    twist: float = parameter(0.0, unit="1", low=-0.9, high=0.9, tau=0.01, shape=True, doc="the same e along the diagonals")
 
     def apply_scene(self, scene: Scene, context: Context) -> Scene:
         """Add to the light field of a uniform target."""
         if scene.target is not None:
             return scene
         tilt = (scene.tilt[0] + self.tilt_x, scene.tilt[1] + self.tilt_y)
-        return replace(scene, tilt=tilt, radial=scene.radial + self.radial)
+        xx, yy, xy = scene.bow
+        bow = (xx + self.saddle, yy - self.saddle, xy + 2 * self.twist)
+        return replace(scene, tilt=tilt, radial=scene.radial + self.radial, bow=bow)
 
 
 @dataclass(frozen=True, kw_only=True)

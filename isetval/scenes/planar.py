@@ -44,7 +44,7 @@ def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: 
         target=_moved(shot.target, context),
         tilt=(context.get("light_tilt_x"), context.get("light_tilt_y")),
         radial=context.get("light_radial"),
-        bow=(context.get("light_bow_x"), context.get("light_bow_y")),
+        bow=(context.get("light_bow_x"), context.get("light_bow_y"), 0.0),
         target_tilt=(context.get("target_tilt_x"), context.get("target_tilt_y")),
         target_bow=(context.get("target_bow_x"), context.get("target_bow_y"), context.get("target_twist")),
         target_shift_px=(context.get("chart_shift_x_px"), context.get("chart_shift_y_px")),
@@ -151,7 +151,7 @@ def light_field(scene: Scene, context: Context) -> Float:
     x, y = x / unit, y / unit
     lab_x, lab_y = _in_lab(x, y, context)
     field = 1 + scene.tilt[0] * lab_x + scene.tilt[1] * lab_y + scene.radial * (x**2 + y**2)
-    field += scene.bow[0] * lab_x**2 + scene.bow[1] * lab_y**2
+    field += scene.bow[0] * lab_x**2 + scene.bow[1] * lab_y**2 + scene.bow[2] * lab_x * lab_y
     return np.asarray(field[None])
 
 

@@ -44,6 +44,28 @@ def test_uneven_light_is_seen_in_flats_and_turns_against_a_turned_camera(place):
     assert effect.apply_scene(CHART, corner) is CHART
 
 
+def test_a_lamp_beside_the_axis_is_no_tilt_and_radial_part_alone(place):
+    """A point over a plane, (1 - 2 q + rho)^(-3/2): its second order is across the radius as well, its third is left."""
+    lamp, near2 = np.array([0.8, 0.3]), 0.2**2
+    square = near2 / (1 + near2 * lamp @ lamp)  # 1/D^2
+    a, b = 3 * square * lamp
+    half = 15 / 4 * square**2 * np.array([lamp @ lamp, lamp[0] ** 2 - lamp[1] ** 2, 2 * lamp[0] * lamp[1]])
+    whole = LightNonuniformity(tilt_x=a, tilt_y=b, radial=half[0] - 1.5 * square, saddle=half[1], twist=half[2])
+    plain = replace(whole, saddle=0.0, twist=0.0)
+
+    def worst(effect):
+        errors = []
+        for row, col in ((0, 0), (0, 4031), (3023, 4031), (1511, 4031), (0, 2016)):
+            x, y = (col - 2015.5) / 2520, (row - 1511.5) / 2520
+            true = (1 - 2 * square * (x * lamp[0] + y * lamp[1]) + square * (x * x + y * y)) ** -1.5
+            errors.append(radiance(effect, FLAT, place(window=(row, col, 1, 1)))[0, 0, 0] / FLAT.white[0] - true)
+        return np.abs(errors).max()
+
+    third = (a * a + b * b) ** 1.5 + 15 / 2 * np.hypot(a, b) / 3 * square  # bound of the terms of third order at the corner
+    assert worst(whole) < third
+    assert worst(plain) > worst(whole) + 0.8 * np.hypot(half[1], half[2])
+
+
 def test_a_wrong_spectrum_belongs_to_one_light(place):
     effect = SpdMismatch(light="A", tilt=0.1, spike=0.5, spike_nm=600.0, width_nm=5.0)
     out = radiance(effect, FLAT, place(light="A"))[:, 0, 0] / FLAT.white
