@@ -106,11 +106,10 @@ def restated_s(row):
     """What a stored trial stands out by, as the laws of strength are known now (of patterns a square, which two had not)."""
     out = []
     for (key, parameters), stored in zip(row["hidden"].items(), row["expected_s"], strict=True):
-        own = ALL[key]
-        size = next((s for s in own.amplitude.items() if isinstance(s[1], int | float) and s[1]), None)
-        if own.scaled and size and key not in FROM_NOMINAL:
-            stored = _expected(own, parameters[size[0]] / size[1], row["plan"], row["lens"])
-        out.append(stored)
+        own = ALL.get(key)  # None: it can be hidden no more
+        sizes = own.amplitude.items() if own and own.scaled and key not in FROM_NOMINAL else ()
+        size = next(((name, s) for name, s in sizes if isinstance(s, int | float) and s and name in parameters), None)
+        out.append(_expected(own, parameters[size[0]] / size[1], row["plan"], row["lens"]) if size else stored)
     return out
 
 

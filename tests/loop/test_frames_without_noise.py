@@ -31,7 +31,7 @@ def kept_apart(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(
     ("focus_um", "most"),
-    # 1.9 to 3.2 in eight seeds at 22 um: lengths near zero are no normal numbers (2.3 to 2.9 simulated at the very place)
+    # 2.0 to 3.3 in four seeds at 22 um: lengths near zero are no normal numbers (2.3 to 2.9 simulated at the very place)
     [(0.0, 1.0), (12.0, 3.0), (22.0, 5.0)],
 )
 def test_the_true_camera_stands_far_from_focus(focus_um, most, kept_apart):
