@@ -235,6 +235,7 @@ class Quantization(Effect):
         "linearization_table",
         "uneven_codes",
     )
+    treads: ClassVar[Mapping[str, float]] = {"step_dn": LEAST_SHARE}  # 2 DN to 2.04 are the same steps
     equation = "step x round(DN / step), limited to 0 ... white; s = 2^k (1 + f): steps 2^k, in a share f of pixels 2^(k + 1)"
     reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4"
 

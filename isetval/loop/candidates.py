@@ -72,7 +72,8 @@ class Candidate:
     ``effect`` is the effect at its null (absent) or as it stands in the model (``present``);
     ``parameters`` are those that are freed, ``nominal`` their values in the model.  Candidates of one effect are forms of one
     class (``name`` says which): a hypothesis holds one of them, and ``prior_weight`` is a form's share of the class's odds.
-    ``code_steps`` are what of its parameters, by key, moves the brightest level by one code where it rounds codes anew.
+    ``code_steps`` are what of its parameters, by key, moves the brightest level by one code where it rounds codes anew, or how
+    wide its `Effect.treads` are.
     ``scale`` is that of the camera; ``held`` is, by name, what its curve takes the place of: it stands in the effect and is free
     no more.
     """

@@ -29,6 +29,7 @@ SPAN = 10.0
 """Sigmas of a value that its finite step is long at least, or its prior's width: above the noise of rounded common random
 numbers, and well inside the 50 within which signatures are straight (`signatures.WANTED`)."""
 CLEAR_OF = SPAN / 2  # sigmas from its lowest value beyond which a value has a derivative to both sides: half of what noise allows
+SAME_STEP = 0.1  # of a step: what a fit moves it by as its value and sigma move, and no reason for another fit
 FAR_TOO_LONG = 2.0  # times what is ample: a step that the linear model asked for, and that a level may end on
 IMITATED = 10.0  # ratio of a value's sigma to that with all else known; a tenth is left, of which derivatives 3 % off are a third
 LONGER_STEPS = 4  # times that steps are made longer: twentyfold and more each, where sigmas were found too small
@@ -230,7 +231,8 @@ def with_longer_steps(fitted: Fit, members: Sequence[Member]) -> tuple[Parameter
             return f
         enough, ample = (_long_enough(f.stepped(least[f.key]), s, values[f.label], k) for k in (1, 2))
         one_sided = f.step > values[f.label] - f.low and np.isfinite(_longest(f, s, values[f.label]))
-        return f if enough <= f.step <= FAR_TOO_LONG * ample and not one_sided else f.stepped(ample)
+        good = enough <= f.step <= FAR_TOO_LONG * ample and not one_sided
+        return f if good or abs(ample - f.step) <= SAME_STEP * f.step else f.stepped(ample)
 
     return tuple(longer(f, float(s)) for f, s in zip(fitted.free, sigma, strict=True))
 

@@ -26,6 +26,7 @@ from isetval.loop.task_runner import Call, Runner
 from isetval.measure.campaign import analyses, measure_campaign
 
 SEED = 6_000  # of captures that nothing else is compared with
+DRAWS = 3  # sets of captures that choose together, where an analysis can: one alone chose oddly for an edge of most plans
 Key = tuple[Any, ...]
 
 
@@ -63,9 +64,12 @@ def made_for(model: CameraModel, plan: Campaign) -> Nominal:
     """Of a plan of one shot; empty where its captures cannot be measured, which whoever compares will say."""
     (shot,) = plan.shots
     setup = replace(shot_setup(plan, shot, {}), regions=looked_at(shot, model.sensor))
-    captures = MemoryCaptures({shot.name: expose(model, setup, SEED)})
+    captures = expose(model, setup, SEED)
+    asked = [(key, module) for key, module in _careful(shot) if hasattr(module, "agreed")]
+    more = [expose(model, setup, SEED + i) for i in range(1, DRAWS)] if asked else []
+    agreed = {key: module.agreed(shot, [captures, *more]) for key, module in asked}
     try:
-        table = measure_campaign(replace(plan, captures=captures), summaries=False)
+        table = measure_campaign(replace(plan, captures=MemoryCaptures({shot.name: captures})), choices=agreed, summaries=False)
     except InputError:
         return Nominal()
     choices = {key: table.choices[key] for key, _ in _careful(shot) if key in table.choices}

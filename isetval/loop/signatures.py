@@ -70,7 +70,7 @@ def signatures(
             seen = still_shows(*problem.whitened_each([column, before[1][i]]))
             columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
     _without_what_is_even(problem, point, wanted, steps, columns, project, focus)
-    wanted = [replace(c, code_steps=_code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
+    wanted = [replace(c, code_steps=code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     columns = _through_focus(problem, point, wanted, steps, columns, focus)
     return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
 
@@ -155,18 +155,19 @@ def _shorten_by_small_shots(
         todo = again
 
 
-def _code_steps(problem: Problem, candidate: Candidate, columns: Float) -> dict[str, float]:
-    """What moves the level that moves most by one code (`Candidate.code_steps`), within the width of its prior.
+def code_steps(problem: Problem, candidate: Candidate, columns: Float) -> dict[str, float]:
+    """What moves the level that moves most by one code (`Candidate.code_steps`), within the width of its prior; stated treads.
 
     What needs more moves no level as a whole: a smoothing of .3 % turns single pixels, which noise makes smooth, and its step of
     one code of a level, 55 times what weights can be, had no derivative at all.
     """
+    own = {f"{candidate.klass}.{name}": wide for name, wide in candidate.effect.treads.items()}
     if not candidate.effect.whole_codes:
-        return {}
+        return own
     levels = np.array([m.unit == "DN" for m in problem.predictor.table.metrics], bool)
     largest = np.abs(columns[levels]).max(axis=0, initial=0.0)
     wide = zip(candidate.keys, largest, candidate.tau, strict=True)
-    return {key: 1 / float(most) for key, most, tau in wide if most * tau > 1}
+    return own | {key: 1 / float(most) for key, most, tau in wide if most * tau > 1}
 
 
 def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]) -> None:

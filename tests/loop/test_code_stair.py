@@ -7,7 +7,10 @@ import pytest
 
 import isetval
 from isetval.core.campaign import Campaign
+from isetval.core.context import Context
 from isetval.core.metric import Metric
+from isetval.core.sensor import Exposure
+from isetval.core.signal import Signal
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.base import Base
@@ -20,7 +23,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
-from isetval.loop.signatures import signatures
+from isetval.loop.signatures import code_steps, signatures
 
 KEY = "digital_gain.gain"
 LEVELS = np.array([60.0, 150.0, 340.0, 623.0])
@@ -89,3 +92,19 @@ def test_only_what_rounds_codes_has_a_stair():
     names = {name for name, cls in catalogue().items() if cls.whole_codes}
     assert {"digital_gain", "gain_map_applied", "linearization_table", "wrong_black_tag"} <= names
     assert not names & {"conversion_gain", "black_level", "nonlinearity", "vignetting"}
+
+
+def test_treads_of_a_converter_are_looked_over():
+    """Steps of 2 and 2.04 DN give the same codes, beyond some pixels have 4: a fit that ended there was 36 in chi2 too high."""
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    (wanted,) = (c for c in candidates_for(model) if c.name == "quantization")
+    nothing = SimpleNamespace(predictor=SimpleNamespace(table=SimpleNamespace(metrics=[])))
+    end = 2.0 + 2 * code_steps(nothing, wanted, np.zeros((0, 1)))["quantization.step_dn"]
+    where = Context(sensor=model.sensor, window=(0, 0, 64, 64), exposure=Exposure(0.01))
+    signal = Signal.of(np.linspace(60.0, 900.0, 4096).reshape(1, 64, 64), "dn")
+
+    def codes(step_dn):
+        return catalogue()["quantization"](step_dn=step_dn).apply(signal, where).values
+
+    np.testing.assert_array_equal(codes(2.0), codes(end - 1e-3))
+    assert np.any(codes(2.0) != codes(end + 1e-3))

@@ -5,8 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import isetval
 from isetval.core.parameter import Parameter
-from isetval.loop.evidence import imitators
+from isetval.core.toml import data_folder
+from isetval.loop.candidates import candidates_for
+from isetval.loop.evidence import imitators, with_longer_steps
 from isetval.loop.posterior import Posterior
 
 NOTHING, A, B, BOTH = frozenset(), frozenset("a"), frozenset("b"), frozenset("ab")
@@ -59,3 +62,18 @@ def test_unknowns_that_can_do_nearly_what_an_effect_does_are_named_and_no_others
     )
     fitted = SimpleNamespace(free=free, weight=np.ones(40), jacobian=rows)
     assert imitators(fitted) == ({free[1].label} if taken else set())
+
+
+@pytest.mark.parametrize(("short", "another"), [(0.97, False), (0.7, True)])
+def test_a_step_that_would_move_by_less_than_a_tenth_is_kept(short, another):
+    """Half the way to the lowest value is the longest step: it moves with the value at each fit, by some percent."""
+    model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
+    (loss,) = (c for c in candidates_for(model) if c.name == "vignetting")
+    value, sigma = 0.014, 0.001
+    longest = 0.5 * (value - loss.parameters[0].low)
+    free = loss.free([short * longest])
+    fitted = SimpleNamespace(free=free, values=np.array([value]), covariance=np.array([[sigma**2]]))
+    (found,) = with_longer_steps(fitted, [loss])
+    assert (found.step != free[0].step) == another
+    if another:
+        assert found.step == pytest.approx(longest)

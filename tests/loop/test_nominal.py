@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isetval import simulate
+from isetval import load_model, simulate
 from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
+from isetval.core.toml import data_folder
 from isetval.effects import catalogue
+from isetval.loop import nominal
 from isetval.loop.nominal import nominal_of, that_hold
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
@@ -74,3 +76,18 @@ def test_a_chart_that_shows_texture_keeps_its_own_patches(model, plan):
         frames.append(replace(capture, mosaic=mosaic))
     striped = replace(campaign, captures={**campaign.captures, "chart": tuple(frames)})
     assert set(that_hold(striped, nominal_of(model, plan))) == {"edge/edges"}
+
+
+@pytest.mark.parametrize(("draws", "all_hold"), [(1, False), (3, True)])
+def test_choices_are_those_that_most_captures_make(draws, all_hold, monkeypatch):
+    """In a shaded corner every third capture finds the light even, by its noise: choices made on that did not hold for others."""
+    monkeypatch.setattr(nominal, "DRAWS", draws)
+    monkeypatch.setattr(nominal, "SEED", 6_200)  # of which the first capture is such a one, in two colours
+    model = load_model(data_folder() / "pixel4a" / "camera.toml")
+    target = EdgeTarget("edge", angle_deg=5.0)
+    how = {"exposure": Exposure(0.01), "frames": 2, "light": "sphere", "window": (700, 900, 96, 96)}
+    lights = {"sphere": Light("sphere", Spectrum.flat(0.004))}
+    plan = Campaign("p", (Shot("e", "edge", target=target, **how),), lights=lights, sensor=model.sensor)
+    made = nominal_of(model, plan)
+    held = [that_hold(simulate(model, plan, seed), made) == made.choices for seed in range(12)]
+    assert all(held) == all_hold

@@ -253,7 +253,6 @@ def _refined(task: _Task, state: _State) -> _State:
         illumination=state.illumination,
         half_px=task.half_px,
         noise=task.weights(state.sides),
-        scatter=state.sides,
         floor=task.floor,
         order=task.order,
     )
@@ -274,7 +273,7 @@ def _illuminated(task: _Task, state: _State, *, always: bool) -> _State:
 def _illumination_rests(task: _Task, before: Float, after: Float, full: _FullFit) -> NDArray[np.bool_]:
     """Where the illumination has stopped changing, up to its own noise."""
     samples = task.stack.values[0, task.stack.start(task.thin) :: task.thin].size
-    noisy = 3 * np.sqrt(full.noise.bright / samples) / task.bright
+    noisy = 3 * np.sqrt(full.weights.bright / samples) / task.bright
     change = np.abs(before - after)[:, :3].max(axis=1)
     rest = (change < ALONG_DONE + noisy) & (np.abs(full.fits.shading).max(axis=1) < ACROSS_DONE + 5 * noisy)
     return np.asarray(rest)
@@ -350,7 +349,7 @@ def _polish(task: _Task, state: _State, full: _FullFit, places: Index, out: list
         orders = None if task.order is None else np.full(len(places), task.order)
         new, row_chi2 = update_lines(state.lines, task.p, shifts, order=orders)
         moved = np.abs(new.coefficients - state.lines.coefficients).max(axis=1)
-        sigma = full.noise.over(full.weights) / np.sqrt(np.maximum(shifts.information, 1e-9))
+        sigma = 1 / np.sqrt(np.maximum(shifts.information, 1e-9))
         enough = LINE_DONE_PX + LINE_DONE_SIGMA * sigma
         rest = ~(moved >= enough) | (turn == POLISH)
         fitted = _fitted(task, state, full, places, near_px=view.distance, information=shifts.information, row_chi2=row_chi2)

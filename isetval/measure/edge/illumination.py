@@ -30,10 +30,6 @@ class SideNoise(PerRegion):
         out += self.dark.reshape(shape)
         return np.asarray(out)
 
-    def over(self, other: SideNoise) -> Float:
-        """Ratio of its sigma to another's, both sides together, (regions,)."""
-        return np.asarray(np.sqrt((self.dark + self.bright) / (other.dark + other.bright)))
-
 
 @dataclass(frozen=True, eq=False)
 class Frame:

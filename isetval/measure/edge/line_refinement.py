@@ -95,17 +95,13 @@ def refine_lines(
     illumination: Float,
     half_px: float,
     noise: SideNoise,
-    scatter: SideNoise,
     floor: float,
     order: int | None,
 ) -> RefinedLines:
-    """Refine the lines, starting from ``shapes`` (their widths are the first ones).
-
-    Samples are weighted by ``noise``; how far lines are followed goes by what samples ``scatter``.
-    """
-    noise, scatter = (SideNoise(np.maximum(n.dark, floor), np.maximum(n.bright, floor)) for n in (noise, scatter))
+    """Refine the lines, starting from ``shapes`` (their widths are the first ones), as far as samples of this ``noise`` tell."""
+    noise = SideNoise(np.maximum(noise.dark, floor), np.maximum(noise.bright, floor))
     common = rounding_error(noise, floor) + (MOVING_ERROR * shapes.step) ** 2
-    lines, shapes = _Refinement(stack, p, illumination, half_px, noise, scatter.over(noise), common, order).run(
+    lines, shapes = _Refinement(stack, p, illumination, half_px, noise, common, order).run(
         _LinesAndShapes(lines, shapes, lines, shapes.width_px)
     )
     _, width = shapes.center_and_width()
@@ -121,7 +117,6 @@ class _Refinement(PerRegion):
     illumination: Float
     half_px: float
     noise: SideNoise
-    finer: Float
     common: Float
     order: int | None
 
@@ -139,7 +134,7 @@ class _Refinement(PerRegion):
             center, width = found.center_and_width()
             new = shifted(new, center)
             moved = np.abs(new.coefficients - lines.coefficients).max(axis=1)
-            enough = DONE_PX + DONE_SIGMA * self.finer / np.sqrt(np.maximum(shifts.information, 1e-9))
+            enough = DONE_PX + DONE_SIGMA / np.sqrt(np.maximum(shifts.information, 1e-9))
             rest = (moved < enough) & (np.abs(width / found.width_px - 1) < DONE_WIDTH)
             turn += 1
             if turn >= MAX_TURNS or rest.all():
