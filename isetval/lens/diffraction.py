@@ -67,10 +67,3 @@ def _branches(
     first = np.arange(low, low + (high - low) % n + 1) % n
     second = np.arange(low, low - (low - high) % n - 1, -1) % n
     return (across[first], along[first]), (across[second], along[second])
-
-
-def circular_otf(frequency_cy_mm: npt.ArrayLike, *, f_number: float, wavelength_nm: float) -> FloatArray:
-    """Transfer function of an aberration-free circular pupil (Goodman, Fourier Optics, eq. 6-32)."""
-    s = np.clip(np.abs(np.asarray(frequency_cy_mm, np.float64)) * wavelength_nm * 1e-6 * f_number, 0.0, 1.0)
-    value: FloatArray = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))
-    return value

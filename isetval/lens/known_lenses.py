@@ -6,9 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
 
-from isetval.core.errors import InputError
 from isetval.core.toml import data_folder
 from isetval.lens.ray_transfer import RayTransferLens
 from isetval.lens.transfer_file import load_lens
@@ -53,16 +51,6 @@ def stated_facts(lens_name: str) -> StatedFacts:
         if lens_name in content.get("lens_names", []):
             return _facts(content)
     return StatedFacts()
-
-
-def read_stated_facts(path: str | Path) -> StatedFacts:
-    """Read a file of statements (same keys as ``data/lens/pixel4a_stated.toml``)."""
-    try:
-        return _facts(tomllib.loads(Path(path).read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(f"stated facts {path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"stated facts {path}: {error}; see data/lens/pixel4a_stated.toml for the keys") from None
 
 
 def _facts(content: Mapping[str, object]) -> StatedFacts:

@@ -86,15 +86,6 @@ def inverse(matrix: Float) -> Float:
     return np.asarray(np.linalg.pinv(matrix / each, hermitian=True) / each)
 
 
-def log_determinant(matrix: Float) -> float:
-    """Ln det of a positive matrix whose scales may differ by many orders; rows of zeros do not count."""
-    if not matrix.size:
-        return 0.0
-    scale = np.sqrt(np.diag(matrix))
-    scale[scale == 0] = 1.0
-    return float(np.linalg.slogdet(matrix / np.outer(scale, scale))[1] + 2 * np.sum(np.log(scale)))
-
-
 def degrees_spent(rows: Float, jacobian: Float, free: Sequence[Parameter]) -> float:
     """How many of some ``rows`` (n, parameters) the parameters of a fit use up; one held by its prior counts less.
 
