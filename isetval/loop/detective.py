@@ -14,13 +14,14 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
-from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
+from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import Fit, far_values
 from isetval.loop.forms import in_best_form
-from isetval.loop.hold_out import ask_holdout, said
+from isetval.loop.hold_out import ask_holdout, likely_in_both, said
 from isetval.loop.investigation import (
     CLEAR,
     ODDS,
+    Heard,
     Investigation,
     asked_for,
     rebase,
@@ -31,7 +32,7 @@ from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate, split_sessions
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
-from isetval.loop.shortlist import fit_likely, unfitted
+from isetval.loop.shortlist import SHORT_LIST, fit_each, fit_likely, of_several_classes, unfitted
 from isetval.loop.signatures import signatures
 from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
@@ -167,6 +168,9 @@ def _investigate(case: Investigation, say: Say) -> None:
                 _move_base(case, say)
                 continue
             better = _better(case, say, seen, first=turn == 0)
+            if better is None and not case.standing.names and (faint := likely_in_both(case)):
+                fit_each(case, say, of_several_classes(case, faint)[:SHORT_LIST])
+                better = _decided(case, say, seen)
             if better is None and (something_unknown(case) or _is_against_priors(case, doubted)):
                 better = _better(case, say, seen, first=turn == 0, far=True)
             if better is None:
@@ -174,6 +178,7 @@ def _investigate(case: Investigation, say: Say) -> None:
             better = _form_before_name(case, better, say)
             say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
             seen.add(better.names)
+            case.heard = _heard_of(case, better)
             same = {id(m) for m in better.effects} == {id(m) for m in case.standing.effects}
             case.standing = better
             if not same:
@@ -181,6 +186,15 @@ def _investigate(case: Investigation, say: Say) -> None:
     except TimeUp:
         case.standing = _winner(case, seen) or case.standing
         raise
+
+
+def _heard_of(case: Investigation, named: Hypothesis) -> dict[Names, Heard]:
+    """What the hold-out said of close rivals of a name: at its base it is forgotten, and they would share that of nothing."""
+    if named.names not in case.told:
+        return {}
+    behind = {h.names: case.score(named) - case.score(h) for h in _close_to(case, named, within=CLOSE_LOG_ODDS)}
+    said_of = {names: case.told[names] - case.told[named.names] for names in behind if names in case.told}
+    return {names: Heard(word, behind[names]) for names, word in said_of.items()}
 
 
 def _is_against_priors(case: Investigation, doubted: set[Names]) -> bool:
@@ -212,7 +226,7 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     def odds(found: Hypothesis) -> float:
         return found.log_evidence + case.log_prior(found.members) + heard(found)
 
-    asked = [case.standing, *_close_to(case, case.standing)]
+    asked = [case.standing, *_close_to(case, case.standing)[:BESIDE]]
     formed = [(own, in_best_form(case, own, say, asked=True, heard=heard)) for own in asked]
     shaped = [found for own, found in formed if found is not own]
     if not shaped:
@@ -221,11 +235,11 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     return better if odds(better) - odds(best) > float(np.log(ODDS)) else best
 
 
-def _close_to(case: Investigation, found: Hypothesis) -> list[Hypothesis]:
+def _close_to(case: Investigation, found: Hypothesis, *, within: float = CLEAR) -> list[Hypothesis]:
     """Others of as many members that come close to a hypothesis, the likeliest first: of several that look alike one may bend."""
     fitted = [h for names, h in case.known.items() if h is not found and names not in case.rough]
-    close = [h for h in fitted if len(h.members) == len(found.members) and case.score(found) - case.score(h) < CLEAR]
-    return sorted(close, key=case.score, reverse=True)[:BESIDE]
+    close = [h for h in fitted if len(h.members) == len(found.members) and case.score(found) - case.score(h) < within]
+    return sorted(close, key=case.score, reverse=True)
 
 
 def _move_base(case: Investigation, say: Say) -> None:
@@ -246,6 +260,11 @@ def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool, far
     hold-out's light stands many of its prior's sigmas off, for an effect that the captures used show by chance too faintly.
     """
     fit_likely(case, say, seen, first=first, far=far)
+    return _decided(case, say, seen)
+
+
+def _decided(case: Investigation, say: Say, seen: set[Names]) -> Hypothesis | None:
+    """The hypothesis of those fitted that should stand instead, or None."""
     rivals = _rivals(case, seen)
     lead = max(rivals, key=case.score, default=None)
     if lead is None:
@@ -278,12 +297,14 @@ def _needed(case: Investigation, other: Hypothesis) -> float:
     """Ln of the odds that another hypothesis must have against what stands: a further name needs 19 to 1 against fewer.
 
     The first needs 19 to 1 for *anything* against nothing: look-alikes that share the probability do not hide each other.
-    Without a hold-out it needs to be likelier than nothing, and the test at `ALPHA` with look-elsewhere to say so.
+    Another in its place that came close where it was named must be ahead by more than it was behind there: each base has noise of
+    its own.  Without a hold-out it needs to be likelier than nothing, and the test at `ALPHA` with look-elsewhere to say so.
     """
     if other.names < case.standing.names:
-        return -float(np.log(ODDS))
+        alone = len(case.standing.names) == 1
+        return (case.table.log_rest(case.standing.names) if alone else 0.0) - float(np.log(ODDS))
     if len(other.names) <= len(case.standing.names):
-        return 0.0
+        return case.heard[other.names].behind if other.names in case.heard else 0.0
     if case.standing.names:
         return float(np.log(ODDS))
     found = any(row.p_corrected < ALPHA for row in case.rows if row.name in other.names)

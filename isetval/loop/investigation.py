@@ -53,6 +53,14 @@ CLEAR = 13.8  # ln of a million: beyond it one session is enough, the other is a
 Say = Callable[[str], None]
 
 
+@dataclass(frozen=True)
+class Heard:
+    """Of a close rival of what stands, when that was named: the hold-out's ``word`` over that of it, how far it was ``behind``."""
+
+    word: float
+    behind: float
+
+
 @dataclass(eq=False)
 class Investigation:
     """The state of one investigation.
@@ -78,6 +86,7 @@ class Investigation:
     table: Posterior = field(default_factory=lambda: Posterior({NOTHING: 0.0}, {NOTHING: 0}))
     rough: set[Names] = field(default_factory=set)
     told: dict[Names, float] = field(default_factory=dict)
+    heard: dict[Names, Heard] = field(default_factory=dict)
     rows: list[CandidateRow] = field(default_factory=list)
     unobservable: tuple[str, ...] = ()
     remarks: list[str] = field(default_factory=list)
@@ -114,6 +123,10 @@ class Investigation:
     def score(self, found: Hypothesis) -> float:
         """ln(Z pi), absolute, with what the hold-out said (not asked: as much as of what stands)."""
         return found.log_evidence + self.log_prior(found.members) + self.told.get(found.names, 0.0)
+
+    def word(self, names: Names, about: Names) -> float:
+        """What the hold-out is taken to say of a set that is linear ``about`` another: what it once said of it, else of the other."""
+        return self.heard[names].word if names in self.heard else self.told.get(about, 0.0)
 
     def member(self, name: str) -> Member:
         """The member of that name, in the form in which it stands if it does."""
@@ -168,7 +181,7 @@ def weigh_neighbours(case: Investigation) -> None:
         count = sum(len(m.keys) for m in reference.members)
         for subset, value in found.items():
             names = reference.names | {terms[i].name for i in subset}
-            logs[names] = value + base + case.told.get(reference.names, 0.0)
+            logs[names] = value + base + case.word(names, reference.names)
             freed[names] = count + sum(terms[i].tau.size for i in subset)
             case.about[names] = reference.names
         case.linear |= {reference.names | {terms[i].name for i in s}: w for s, w in own.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import zip_longest
 
 import numpy as np
@@ -32,13 +32,18 @@ def fit_likely(case: Investigation, say: Say, seen: Collection[Names], *, first:
     none is.  A knee between two of the catalogue's loses to a free curve of a bent response by 330 until its own place is free.
     What was ``seen`` to stand and gave way cannot stand again, unless as a part of what stands.
     """
-    fitted = []
     proposed = _one_away(case) if far else _proposals(case, first=first)
     wanted = [names for names in proposed if names not in seen or names < case.standing.names]
     many = first or (far and not case.standing.names)
-    for i, names in enumerate(of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]):
-        if not far and not (_worth_a_first_fit(case, names, i) if first else _worth_a_fit(case, names)):
-            continue
+    listed = of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]
+    worth = _worth_a_first_fit if first else _worth_a_fit
+    fit_each(case, say, (names for i, names in enumerate(listed) if far or worth(case, names, i)))
+
+
+def fit_each(case: Investigation, say: Say, wanted: Iterable[Names]) -> None:
+    """Fit hypotheses in full, one after the other as they are asked for, then in the forms that the data ask for."""
+    fitted = []
+    for names in wanted:
         say(f"fitting {', '.join(sorted(names))}")
         fitted.append(fitted_jointly(case, names))
     _give_forms(case, sorted(fitted, key=case.score, reverse=True), say)
@@ -70,7 +75,7 @@ def _worth_a_first_fit(case: Investigation, names: Names, place: int) -> bool:
     return names in _by_chi2(case) and something_left(case, best)
 
 
-def _worth_a_fit(case: Investigation, names: Names) -> bool:
+def _worth_a_fit(case: Investigation, names: Names, place: int) -> bool:
     return not _is_behind(case, names) and _may_be_found(case, names)
 
 
