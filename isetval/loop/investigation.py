@@ -55,7 +55,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Heard:
-    """Of a close rival of what stands, when that was named: the hold-out's ``word`` over that of it, how far it was ``behind``."""
+    """Of a close rival of what stands, when that was named: the hold-out's ``word`` beyond that of it, how far ``behind``."""
 
     word: float
     behind: float
@@ -125,7 +125,7 @@ class Investigation:
         return found.log_evidence + self.log_prior(found.members) + self.told.get(found.names, 0.0)
 
     def word(self, names: Names, about: Names) -> float:
-        """What the hold-out is taken to say of a set that is linear ``about`` another: what it once said of it, else of the other."""
+        """What the hold-out is taken to say of a set that is linear ``about`` another: what it once said, else what of that."""
         return self.heard[names].word if names in self.heard else self.told.get(about, 0.0)
 
     def member(self, name: str) -> Member:

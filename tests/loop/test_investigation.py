@@ -10,16 +10,16 @@ import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
-from isetval.loop import investigation
+from isetval.loop import hold_out, investigation
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.detective import CLEAR, ODDS, _better, _is_against_priors
+from isetval.loop.detective import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
-from isetval.loop.hold_out import ask_holdout
-from isetval.loop.investigation import Investigation, _stands, fitted_jointly, rebase, weigh_neighbours
+from isetval.loop.hold_out import ask_holdout, likely_in_both
+from isetval.loop.investigation import Heard, Investigation, _stands, fitted_jointly, rebase, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
@@ -218,6 +218,44 @@ def test_a_name_that_a_new_base_denies_is_taken_back():
     stand(case, "dark_current", "temporal_row_noise")
     before = {NOTHING, frozenset({"dark_current"}), case.standing.names}
     assert _better(case, quiet, before, first=False).names == {"dark_current"}
+
+
+@pytest.mark.parametrize(("here", "there", "likely"), [(2.5, 6.0, True), (2.5, 0.0, False), (0.0, 6.0, False)])
+def test_an_effect_that_both_sessions_show_is_fitted_though_one_shows_it_faintly(monkeypatch, here, there, likely):
+    """2.5 sigmas are one of ninety effects by chance, 2.5 here and six of the same sign there are not."""
+    case = case_of(here * np.eye(ROWS)[0])
+    held = case_of(there * np.eye(ROWS)[0])
+    case.held = SimpleNamespace(settled=lambda model: (held.problem, held.fitted))
+    monkeypatch.setattr(hold_out, "signatures", lambda problem, point, wanted, **how: [case.signatures[c.name] for c in wanted])
+    monkeypatch.setattr(Investigation, "classes", 90)
+    weigh_neighbours(case)
+    found = likely_in_both(case)
+    assert (frozenset({"dark_current"}) in found) == likely
+
+
+def test_what_the_hold_out_said_of_a_close_rival_is_kept_at_the_next_base(monkeypatch):
+    """Seen with two sigmas here, both have the hold-out to thank: at a new base the rival had what was said of nothing, -8."""
+    case = case_of(2.0 * (np.eye(ROWS)[0] + MIXED))
+    named, rival = (fitted_jointly(case, frozenset({name})) for name in ("dark_current", "black_level"))
+    case.told = {named.names: 8.0, rival.names: 7.5}
+    case.heard = _heard_of(case, named)
+    behind = case.score(named) - case.score(rival)
+    assert case.heard[rival.names] == Heard(-0.5, pytest.approx(behind))
+    case.standing, case.known, case.told = named, {named.names: named}, {NOTHING: -8.0}
+    weigh_neighbours(case)
+    fitted = fitted_jointly(case, rival.names)
+    assert case.table.logs[rival.names] == pytest.approx(case.log_prior(fitted.members) + fitted.log_evidence - 0.5, abs=0.1)
+    # and it must be ahead by more than it was behind
+    assert _needed(case, fitted) == pytest.approx(behind)
+
+
+def test_look_alikes_that_share_the_probability_do_not_deny_each_other_at_a_new_base():
+    """A first name needed 19 to 1 for anything; of three that share that each has six, and was taken back for nothing."""
+    case = case_of(4.0 * MIXED)
+    stand(case, "black_level")
+    share = float(np.exp(case.table.log_rest(case.standing.names)))
+    assert share > 1.05
+    assert _needed(case, case.known[NOTHING]) == pytest.approx(np.log(share / ODDS))
 
 
 @pytest.mark.parametrize(("said", "named"), [(-6.0, False), (6.0, True)])
