@@ -67,8 +67,8 @@ def made_for(model: CameraModel, plan: Campaign) -> Nominal:
     captures = expose(model, setup, SEED)
     asked = [(key, module) for key, module in _careful(shot) if hasattr(module, "agreed")]
     more = [expose(model, setup, SEED + i) for i in range(1, DRAWS)] if asked else []
-    agreed = {key: module.agreed(shot, [captures, *more]) for key, module in asked}
     try:
+        agreed = {key: module.agreed(shot, [captures, *more]) for key, module in asked}
         table = measure_campaign(replace(plan, captures=MemoryCaptures({shot.name: captures})), choices=agreed, summaries=False)
     except InputError:
         return Nominal()
