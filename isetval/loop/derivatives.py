@@ -161,6 +161,30 @@ def slopes(
     """Raw finite differences (metrics,) of each parameter, from both sides where the problem bends or for effects if asked.
 
     What effects do through ``focus`` errors, whose columns are known, goes by the chain rule (`isetval.loop.focus_chain`).
+    Noise is differenced over all draws of the problem, all else over the first, whose random numbers are on both sides of it.
+    """
+    drawn = [f for f in wanted if not f.is_nuisance and _is_random(f, point)]
+    steady = [f for f in wanted if f not in drawn]
+    found = _slopes(problem, point, drawn, both_sides, focus, problem.seeds)
+    found += _slopes(problem, point, steady, both_sides, focus, problem.seeds[:1])
+    by_label = dict(zip((f.label for f in (*drawn, *steady)), found, strict=True))
+    return [by_label[f.label] for f in wanted]
+
+
+def _is_random(f: Parameter, point: Point) -> bool:
+    effect = point.model.effect(f.owner)
+    return effect is not None and effect.random != "none"
+
+
+def _slopes(
+    problem: Problem,
+    point: Point,
+    wanted: Sequence[Parameter],
+    both_sides: bool,
+    focus: Sequence[Parameter],
+    seeds: Sequence[int],
+) -> list[Float]:
+    """`slopes` over some draws.
 
     What moves one patch of a chart is stepped together with the same of all other patches: each has the rows of its own
     (sparse derivatives by groups of columns: Curtis, Powell, Reid, J. Inst. Math. Appl. 13 (1974) 117).
@@ -180,14 +204,12 @@ def slopes(
         return at_same_focus(problem, there, shifts, focus)
 
     moved = [stepped(key, sign) for key, sign in sides]
-    here, *vectors = problem.predictor.derivative_vectors([point, *moved], problem.seeds)
+    here, *vectors = problem.predictor.derivative_vectors([point, *moved], seeds)
     seen = {(key, sign): sign * (vector - here) for (key, sign), vector in zip(sides, vectors, strict=True)}
     lost = [key for key in groups if not twice[key] and np.any(np.isnan(seen[key, 1]) & np.isfinite(here))]
     back = [stepped(key, -1) for key in lost]
     if lost:
-        seen |= {
-            (key, -1): here - v for key, v in zip(lost, problem.predictor.derivative_vectors(back, problem.seeds), strict=True)
-        }
+        seen |= {(key, -1): here - v for key, v in zip(lost, problem.predictor.derivative_vectors(back, seeds), strict=True)}
     effects = any(not f.is_nuisance for f in wanted)
     levels = np.array([m.unit == "DN" for m in problem.predictor.table.metrics], bool) if effects else np.zeros(here.size, bool)
     patches = np.array([m.patch for m in problem.predictor.table.metrics]) if any(f.patch for f in wanted) else None

@@ -39,7 +39,7 @@ from isetval.loop.telling import Deadline, Progress, Say, TimeUp
 from isetval.loop.verdict import ALPHA, account_of, against_priors, something_unknown, stopped_account
 
 Float = NDArray[np.float64]
-LIMIT_S = 3600.0  # a search that is not over in an hour is asked for by name: the longest that was seen took a quarter of it
+LIMIT_S = 900.0  # a search that is not over in a quarter of an hour is asked for by name; what it simulated is kept for that
 BESIDE = 2  # rivals of what stands that are asked for their forms before a name is added: a fit each
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 

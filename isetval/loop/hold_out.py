@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,15 +11,13 @@ from numpy.typing import NDArray
 
 from isetval.loop.derivatives import at
 from isetval.loop.evidence import Hypothesis, linear_model
-from isetval.loop.fit import Fit, far_values
+from isetval.loop.fit import Fit
 from isetval.loop.fit_state import POSED_FACTOR, walked
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.investigation import Investigation, draws_of, named_model
 from isetval.loop.posterior import NOTHING, Names
-from isetval.loop.prediction import Point
+from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem
-from isetval.loop.score_test import make_frame
-from isetval.loop.signatures import signatures
 from isetval.loop.subset_sum import Weighed, weigh
 
 Float = NDArray[np.float64]
@@ -47,32 +46,45 @@ def likely_in_both(case: Investigation) -> list[Names]:
 
     Of an effect of five sigmas the captures used show two or three now and then, which ninety effects do by chance: alone they
     are no reason for a fit, and the hold-out was never asked.  Here it is asked of the linear model, with the amplitudes that the
-    captures used give: 2.5 sigmas here and five there are ln 9 and more.
+    captures used give: 2.5 sigmas here and five there are ln 9 and more.  Signatures are those of the captures used, in the rows
+    that both sessions have.
     """
     logs = case.table.logs
     effects = {frozenset({c.name}): c for c in case.candidates if c.name not in case.unobservable}
     looked = [n for n in case.table.ranked if n in effects and n in case.linear and n not in case.known][:LOOKED]
     if case.held is None or not looked:
         return []
-    model = case.prepared.model
-    problem, settled = case.held.settled(model)
-    frame = make_frame(settled)
-    made = signatures(
-        problem,
-        Point(model, far_values(settled)),
-        [case.signatures[effects[names].name].candidate for names in looked],
-        project=frame.basis[: frame.rows],
-        focus=[f for f in settled.free if f.focus],
-    )
+    problem, settled = case.held.settled(case.prepared.model)
+    place = _same_rows(case.problem.predictor, problem.predictor)
     linear = linear_model(problem, settled)
     alone = weigh(linear, ()).log_evidence
     there = len(case.known[NOTHING].fitted.free)
-    both = {}
-    for names, signature in zip(looked, made, strict=True):
-        moved = signature.candidate.tau * case.linear[names].values[there:]
-        shifted = replace(linear, z=linear.z - problem.whitened(signature.columns) @ moved)
-        both[names] = logs[names] + weigh(shifted, ()).log_evidence - alone
+
+    def with_both(names: Names) -> float:
+        columns = case.signatures[effects[names].name].columns
+        moved = np.where(place >= 0, columns[place] @ (effects[names].tau * case.linear[names].values[there:]), 0.0)
+        shifted = replace(linear, z=linear.z - problem.whitened(moved))
+        return logs[names] + weigh(shifted, ()).log_evidence - alone
+
+    both = {names: with_both(names) for names in looked}
     return sorted((names for names in looked if both[names] > logs[NOTHING]), key=lambda names: -both[names])
+
+
+def _same_rows(here: Predictor, there: Predictor) -> NDArray[np.intp]:
+    """Of each row ``there`` the place of the same metric of the same kind of shot ``here``, (rows there,); -1 where none is."""
+    places = {key: i for i, key in enumerate(_by_kind(here))}
+    return np.array([places.get(key, -1) for key in _by_kind(there)], dtype=np.intp)
+
+
+def _by_kind(predictor: Predictor) -> list[tuple[Hashable, ...]]:
+    """What each row is, with what is seen in its shot in place of that one's name; the same shot again counts as the second."""
+    counts: Counter[Hashable] = Counter()
+    kinds: dict[str, Hashable] = {}
+    for shot in predictor.shots:
+        seen = (shot.seen, shot.light, shot.frames, shot.method, shot.channel)
+        kinds[shot.name] = (seen, counts[seen])
+        counts[seen] += 1
+    return [(replace(m, shot="").key(), kinds[m.shot]) for m in predictor.table.metrics]
 
 
 def said(case: Investigation, asked: Sequence[Hypothesis]) -> list[float]:
