@@ -21,7 +21,9 @@ from isetval.loop.problem import Problem
 from isetval.loop.subset_sum import Weighed, weigh
 
 Float = NDArray[np.float64]
-LOOKED = 20  # single effects of which it is asked: of ninety so many stand 1.2 sigmas off by chance, which 5 are once in 7000
+LOOKED = (
+    20  # single effects of which it is asked: of ninety so many stand 1.2 sigmas off by chance, 5 that are so faint 1 in 14,000
+)
 WALKS = 4  # of the nuisances to where a hypothesis has them: where planes fill up the first goes astray, the second is there
 
 

@@ -95,7 +95,7 @@ def test_only_what_rounds_codes_has_a_stair():
 
 
 def test_treads_of_a_converter_are_looked_over():
-    """Steps of 2 and 2.04 DN give the same codes, beyond some pixels have 4: a fit that ended there was 36 in chi2 too high."""
+    """Steps of 2 and 2.04 DN give the same codes, beyond some pixels have 4: slopes there led a fit of 2 DN to 2.042."""
     model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
     (wanted,) = (c for c in candidates_for(model) if c.name == "quantization")
     nothing = SimpleNamespace(predictor=SimpleNamespace(table=SimpleNamespace(metrics=[])))

@@ -14,7 +14,7 @@ from isetval.loop import hold_out, investigation
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
-from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.derivatives import nuisance_parameters, slopes
 from isetval.loop.detective import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
@@ -256,6 +256,30 @@ def test_look_alikes_that_share_the_probability_do_not_deny_each_other_at_a_new_
     share = float(np.exp(case.table.log_rest(case.standing.names)))
     assert share > 1.05
     assert _needed(case, case.known[NOTHING]) == pytest.approx(np.log(share / ODDS))
+
+
+def test_beside_noise_all_else_is_differenced_over_one_draw(case):
+    """Its random numbers are on both sides of such a difference: a shift of the lens beside uneven darks took eight."""
+    model = case.prepared.model
+    members = [next(c for c in case.candidates if c.name == name) for name in ("black_level", "temporal_row_noise")]
+    for member in members:
+        model = member.model_with(model)
+    free = [parameter for member in members for parameter in member.free([UNIT])]
+    problem = replace(case.problem, seeds=(1, 2, 3, 4))
+    camera, draws = problem.predictor, {}
+    vectors = camera.derivative_vectors
+
+    def counted(points, seeds):
+        for point in points[1:]:
+            moved = [f.key for f in free if point.model.value(f.key) != model.value(f.key)]
+            draws[moved[0]] = len(seeds)
+        return vectors(points, seeds)
+
+    camera.derivative_vectors = counted
+    found = slopes(problem, Point(model), free)
+    assert draws == {"black_level.offset_dn": 1, "temporal_row_noise.sigma_dn": 4}
+    for parameter, slope in zip(free, found, strict=True):
+        np.testing.assert_allclose(slope * UNIT, COLUMNS[parameter.key], atol=1e-9)
 
 
 @pytest.mark.parametrize(("said", "named"), [(-6.0, False), (6.0, True)])
