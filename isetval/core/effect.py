@@ -127,7 +127,7 @@ class Effect:
     that its parameter is how many such pixels there are, as which metrics go (that of other random effects is a standard
     deviation, as the square of which they go); ``step_share`` is the finite step of a fit as a share of the distance from
     the null; ``whole_codes`` that it rounds codes anew, so that metrics are a stair of its parameters; ``treads`` how wide, by
-    parameter, the steps of such a stair are that its own form makes;
+    parameter and in its unit, the narrowest steps are that its own form makes;
     ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,

@@ -48,7 +48,7 @@ def likely_in_both(case: Investigation) -> list[Names]:
 
     Of an effect of five sigmas the captures used show two or three now and then, which ninety effects do by chance: alone they
     are no reason for a fit, and the hold-out was never asked.  Here it is asked of the linear model, with the amplitudes that the
-    captures used give: 2.5 sigmas here and five there are ln 9 and more.  Signatures are those of the captures used, in the rows
+    captures used give: 2.5 sigmas here and five there are e^9 and more.  Signatures are those of the captures used, in the rows
     that both sessions have.
     """
     logs = case.table.logs

@@ -36,8 +36,13 @@ def fit_likely(case: Investigation, say: Say, seen: Collection[Names], *, first:
     wanted = [names for names in proposed if names not in seen or names < case.standing.names]
     many = first or (far and not case.standing.names)
     listed = of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]
-    worth = _worth_a_first_fit if first else _worth_a_fit
-    fit_each(case, say, (names for i, names in enumerate(listed) if far or worth(case, names, i)))
+    # asked one by one: what is worth a fit hangs on the fits before it
+    worth = (
+        names
+        for i, names in enumerate(listed)
+        if far or (_worth_a_first_fit(case, names, i) if first else _worth_a_fit(case, names))
+    )
+    fit_each(case, say, worth)
 
 
 def fit_each(case: Investigation, say: Say, wanted: Iterable[Names]) -> None:
@@ -75,7 +80,7 @@ def _worth_a_first_fit(case: Investigation, names: Names, place: int) -> bool:
     return names in _by_chi2(case) and something_left(case, best)
 
 
-def _worth_a_fit(case: Investigation, names: Names, place: int) -> bool:
+def _worth_a_fit(case: Investigation, names: Names) -> bool:
     return not _is_behind(case, names) and _may_be_found(case, names)
 
 

@@ -15,7 +15,7 @@ from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.prediction import Point
-from isetval.loop.prepared import gate_with, repeat_gate
+from isetval.loop.prepared import gate_with, repeat_differences, repeat_gate
 from isetval.loop.problem import Problem
 
 CHANNELS, BENDS = ("red", "green", "blue"), np.array([1.0, 0.0, -1.0])
@@ -109,3 +109,24 @@ def test_a_gate_that_fails_with_one_camera_is_asked_with_the_error_bars_of_anoth
     assert gate_with(prepared, nominal, prepared.problem, fitted) == nominal  # no other model, no second opinion
     worse = gate_with(prepared, gate | {"failed": True}, prepared.problem, fitted)
     assert worse["nominal_mean_square_z"] == nominal["mean_square_z"]
+
+
+@pytest.mark.parametrize(("values", "family", "left_out"), [
+    ((0.005, -0.02), "mtf", True),  # one passes through zero sooner: its length is that of the other side
+    ((0.21, 0.2), "mtf", False),
+    ((0.005, 0.02), "dark_mean", False),  # a mean has a sign, and stays
+])  # fmt: skip
+def test_contrasts_that_may_be_on_either_side_of_zero_do_not_decide(values, family, left_out):
+    """Where one of two repeats passes zero sooner, its length goes the other way than its neighbors'; no covariance holds."""
+    lengths = np.abs(values) if family == "mtf" else np.array(values)
+    rows = [Metric("x", float(v), 0.01, "1", shot=s, channel="red", family=family) for s, v in zip("ab", lengths, strict=True)]
+    table = SimpleNamespace(metrics=rows, values=lengths)
+    problem = SimpleNamespace(
+        keep=np.arange(2), covariance=1e-4 * np.eye(2), base=SimpleNamespace(with_simulation=lambda keep: np.ones((2, 2)))
+    )
+    prepared = SimpleNamespace(
+        table=table, campaign=SimpleNamespace(shots=SHOTS), fit_nuisances=lambda model: SimpleNamespace(free=()), model=None
+    )
+    pairs, differences, _ = repeat_differences(prepared, problem)
+    assert (pairs == []) == left_out
+    assert differences.size == (0 if left_out else 1)

@@ -93,8 +93,8 @@ def holds(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -
 def agreed(shot: Shot, many: Sequence[Sequence[Capture]]) -> dict[str, Mapping[str, Any]]:
     """Choices that suit most captures of a shot, of those that several sets of them make, by colour.
 
-    Medians, but of shading the most that any was found to need: by its noise one capture in three needs a hundred times less than
-    the others, and what is chosen for it would not hold for them.
+    Medians, but of shading the most that any was found to need: by its noise one capture needs a hundred times less than the
+    others, and what is chosen for it would not hold for them.
     """
     firsts = [_first_choices(shot, captures[0]) for captures in many]
     return {channel: _middle([made[channel] for made in firsts if channel in made]) for channel in firsts[0]}
