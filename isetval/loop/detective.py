@@ -8,40 +8,26 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, hypothesis, smallest_detectable
-from isetval.loop.fit import Fit, far_values
-from isetval.loop.forms import in_best_form
-from isetval.loop.hold_out import ask_holdout, likely_in_both, said
-from isetval.loop.investigation import (
-    CLEAR,
-    ODDS,
-    Heard,
-    Investigation,
-    asked_for,
-    rebase,
-    weigh_neighbours,
-)
-from isetval.loop.posterior import NOTHING, Names
+from isetval.loop.evidence import hypothesis, smallest_detectable
+from isetval.loop.fit import far_values
+from isetval.loop.investigation import Investigation, weigh_neighbours
+from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate, split_sessions
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
-from isetval.loop.shortlist import SHORT_LIST, fit_each, fit_likely, of_several_classes, unfitted
+from isetval.loop.search import search
+from isetval.loop.shortlist import unfitted
 from isetval.loop.signatures import signatures
-from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
-from isetval.loop.verdict import ALPHA, account_of, against_priors, something_unknown, stopped_account
+from isetval.loop.verdict import account_of, stopped_account
 
-Float = NDArray[np.float64]
-LIMIT_S = 900.0  # a search that is not over in a quarter of an hour is asked for by name; what it simulated is kept for that
-BESIDE = 2  # rivals of what stands that are asked for their forms before a name is added: a fit each
-MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
+LIMIT_S = 900.0  # what is not over in a quarter of an hour is asked for by name; what it simulated is kept for that
 
 
 def diagnose(
@@ -75,8 +61,9 @@ def diagnose(
     with_next_captures : bool
         Search the captures that would tell close candidates apart.
     limit_s : float
-        Seconds after which the search stops, at the next shot that is done: the diagnosis then has the verdict ``unfinished``,
-        names the best statement so far and says in ``not_looked_at`` what it did not look at.
+        Seconds that it may take.  A third of them is for naming (`search.SEARCH`): what stands then is weighed and asked of the
+        hold-out as at any other end, and ``not_looked_at`` says what the search was at.  Where all of them are over before that,
+        it stops at the next shot that is done, with the verdict ``unfinished`` and the best statement so far.
 
     Returns
     -------
@@ -110,9 +97,11 @@ def diagnose(
         except TimeUp:
             return _unfinished(model, watch)
         try:
-            _investigate(case, watch)
+            cut = search(case, watch)
             gate = gate_with(prepared, gate, case.problem, case.fitted)
-            return _gate_failed(case, gate) if gate["failed"] else account_of(case, gate, say=watch, more=with_next_captures)
+            if gate["failed"]:
+                return _gate_failed(case, gate)
+            return account_of(case, gate, say=watch, more=with_next_captures, cut=cut, unfitted=unfitted(case) if cut else ())
         except TimeUp:
             watch.open = False
             gate = gate_with(prepared, gate, case.problem, case.fitted)
@@ -150,165 +139,9 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     case.unobservable = tuple(c.name for c in wanted if not _observable(c, scores[c.name]))
     tests = len(wanted) - len(case.unobservable)
     case.rows = [_row(c, scores[c.name], tests, c.name not in case.unobservable) for c in wanted]
+    weigh_neighbours(case)
+    _tell_evidence(case)
     return case
-
-
-def _investigate(case: Investigation, say: Say) -> None:
-    """Change what is believed until nothing is more probable; stopped, what is most probable so far is left standing."""
-    seen = {case.standing.names}
-    doubted: set[Names] = set()
-    try:
-        for turn in range(MAX_TURNS):
-            weigh_neighbours(case)
-            if turn == 0:
-                _tell_evidence(case)
-            shaped = in_best_form(case, case.standing, say)  # before anything else is said to be missing
-            if shaped is not case.standing:
-                case.standing = shaped
-                _move_base(case, say)
-                continue
-            better = _better(case, say, seen, first=turn == 0)
-            if better is None and not case.standing.names and (faint := likely_in_both(case)):
-                fit_each(case, say, of_several_classes(case, faint)[:SHORT_LIST])
-                better = _decided(case, say, seen)
-            if better is None and (something_unknown(case) or _is_against_priors(case, doubted)):
-                better = _better(case, say, seen, first=turn == 0, far=True)
-            if better is None:
-                break
-            better = _form_before_name(case, better, say)
-            say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
-            seen.add(better.names)
-            case.heard = _heard_of(case, better)
-            same = {id(m) for m in better.effects} == {id(m) for m in case.standing.effects}
-            case.standing = better
-            if not same:
-                _move_base(case, say)
-    except TimeUp:
-        case.standing = _winner(case, seen) or case.standing
-        raise
-
-
-def _heard_of(case: Investigation, named: Hypothesis) -> dict[Names, Heard]:
-    """What the hold-out said of close rivals of a name: at its base it is forgotten, and they would share that of nothing."""
-    if named.names not in case.told:
-        return {}
-    behind = {h.names: case.score(named) - case.score(h) for h in _close_to(case, named, within=CLOSE_LOG_ODDS)}
-    said_of = {names: case.told[names] - case.told[named.names] for names in behind if names in case.told}
-    return {names: Heard(word, behind[names]) for names, word in said_of.items()}
-
-
-def _is_against_priors(case: Investigation, doubted: set[Names]) -> bool:
-    """Whether an unknown of the laboratory stands too far off beside what stands, asked once of each."""
-    if case.standing.names in doubted:
-        return False
-    doubted.add(case.standing.names)
-    return bool(against_priors(case))
-
-
-def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypothesis:
-    """What should stand: where it has more names than what stands, that in another form, if they have not 19 to 1 against it.
-
-    What is left over may be too little to be seen as such, and enough for a name that goes with it: a warm-up that comes to an
-    end leaves of a linear one what looks like more dark current.  The hold-out is asked of both: of a fall-off in five windows a
-    curve and a shadow in one of them say the same, and the shadow alone had its word.
-    """
-    if not (case.standing.effects and len(better.effects) > len(case.standing.effects)):
-        return better
-    words: dict[Fit, float] = {}
-
-    def heard(found: Hypothesis) -> float:
-        if found is case.standing:
-            return 0.0
-        if found.fitted not in words:
-            (words[found.fitted],) = said(case, [found])
-        return words[found.fitted]
-
-    def odds(found: Hypothesis) -> float:
-        return found.log_evidence + case.log_prior(found.members) + heard(found)
-
-    asked = [case.standing, *_close_to(case, case.standing)[:BESIDE]]
-    formed = [(own, in_best_form(case, own, say, asked=True, heard=heard)) for own in asked]
-    shaped = [found for own, found in formed if found is not own]
-    if not shaped:
-        return better
-    best = max(shaped, key=odds)
-    return better if odds(better) - odds(best) > float(np.log(ODDS)) else best
-
-
-def _close_to(case: Investigation, found: Hypothesis, *, within: float = CLEAR) -> list[Hypothesis]:
-    """Others of as many members that come close to a hypothesis, the likeliest first: of several that look alike one may bend."""
-    fitted = [h for names, h in case.known.items() if h is not found and names not in case.rough]
-    close = [h for h in fitted if len(h.members) == len(found.members) and case.score(found) - case.score(h) < within]
-    return sorted(close, key=case.score, reverse=True)
-
-
-def _move_base(case: Investigation, say: Say) -> None:
-    """Weigh anew at what stands; where the time ends on the way there, all is as it was."""
-    before = (case.problem, case.standing, case.known, case.told)
-    try:
-        rebase(case, say)
-    except TimeUp:
-        case.problem, case.standing, case.known, case.told = before
-        raise
-
-
-def _better(case: Investigation, say: Say, seen: set[Names], *, first: bool, far: bool = False) -> Hypothesis | None:
-    """The hypothesis that should stand instead, or None; where they are close the hold-out is asked.
-
-    ``far``: also what signatures promise little of is fitted.  A shadow of pixels goes as its square and shows at a quarter of
-    its prior's width along another line than at the whole: something is seen to be there, and no signature tells what.  Or the
-    hold-out's light stands many of its prior's sigmas off, for an effect that the captures used show by chance too faintly.
-    """
-    fit_likely(case, say, seen, first=first, far=far)
-    return _decided(case, say, seen)
-
-
-def _decided(case: Investigation, say: Say, seen: set[Names]) -> Hypothesis | None:
-    """The hypothesis of those fitted that should stand instead, or None."""
-    rivals = _rivals(case, seen)
-    lead = max(rivals, key=case.score, default=None)
-    if lead is None:
-        return None
-    near = [h for h in (*rivals, case.standing) if case.score(lead) - case.score(h) < CLEAR]
-    if len(near) > 1:
-        say("asking the hold-out")
-        parts = [h for h in case.known.values() if h.names < case.standing.names and case.standing in near]
-        ask_holdout(case, [h for h in (*near, *parts) if h is not case.standing])
-    return _winner(case, seen)
-
-
-def _rivals(case: Investigation, seen: set[Names]) -> list[Hypothesis]:
-    """What may stand instead: what has not stood yet, and parts of what stands (a name that a new base denies is taken back)."""
-    stands = case.standing.names
-    return [h for h in case.known.values() if (h.names not in seen or h.names < stands) and len(h.effects) <= MAX_EFFECTS]
-
-
-def _winner(case: Investigation, seen: set[Names]) -> Hypothesis | None:
-    """The most probable hypothesis that was fitted and has what it needs against what stands, or None."""
-    wins = [
-        h
-        for h in _rivals(case, seen)
-        if case.score(h) - case.score(case.standing) > _needed(case, h) and asked_for(case.standing, h)
-    ]
-    return max(wins, key=case.score, default=None)
-
-
-def _needed(case: Investigation, other: Hypothesis) -> float:
-    """Ln of the odds that another hypothesis must have against what stands: a further name needs 19 to 1 against fewer.
-
-    The first needs 19 to 1 for *anything* against nothing: look-alikes that share the probability do not hide each other.
-    Another in its place that came close where it was named must be ahead by more than it was behind there: each base has noise of
-    its own.  Without a hold-out it needs to be likelier than nothing, and the test at `ALPHA` with look-elsewhere to say so.
-    """
-    if other.names < case.standing.names:
-        alone = len(case.standing.names) == 1
-        return (case.table.log_rest(case.standing.names) if alone else 0.0) - float(np.log(ODDS))
-    if len(other.names) <= len(case.standing.names):
-        return case.heard[other.names].behind if other.names in case.heard else 0.0
-    if case.standing.names:
-        return float(np.log(ODDS))
-    found = any(row.p_corrected < ALPHA for row in case.rows if row.name in other.names)
-    return 0.0 if case.held is None and found else float(np.log(ODDS)) - case.table.log_rest(other.names)
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:

@@ -176,11 +176,13 @@ def fitted_members(
     fitted = fit(problem, start, free, pose=pose, iterations=iterations, stated=stated, enough=beaten)
     if fitted.cost > beaten:
         return fitted
+    tried = [fitted.free]
     for turn in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted, members)
         anew = imitators(fitted) if turn < 2 else frozenset()
-        if longer == fitted.free and not anew:
+        if any(_are_alike(longer, steps) for steps in tried) and not anew:
             break
+        tried.append(longer)
         for label in anew:
             problem.columns.pop(label, None)
         near = fitted.leaves_more
@@ -189,6 +191,15 @@ def fitted_members(
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)
     return fitted
+
+
+def _are_alike(some: Sequence[Parameter], others: Sequence[Parameter]) -> bool:
+    """Whether finite steps are the same within `SAME_STEP`.
+
+    A glare five sigmas off its lowest value has short steps to both sides, by which it is found at 4.9, and long ones to one
+    side, by which it is found at 6: either is good, and each fit would ask for the other's.
+    """
+    return all(abs(a.step - b.step) <= SAME_STEP * abs(b.step) for a, b in zip(some, others, strict=True))
 
 
 def _as_stated(members: Sequence[Member]) -> bool:

@@ -39,13 +39,8 @@ SLIPS = (
 ODDS = 19.0  # 95 %: what a name needs against the same without it
 BENDS = 0.5  # share of what a single effect explains that its signature may be wrong by: what the nuisances leave of it is small,
 # and another form of it explains more (a vignetting of 6 %: 42 of 89 in ln Z)
-MAX_REBASES = 5  # new bases at a moving strength: a bound on cost
-STANDS = 0.7  # sigmas within which a value stands: a choice, below the error that it is stated with
 WIDER_ROWS = (
     1.5  # scale of a family beyond which its error bars are not those of the hypothesis: 2.5 of the 20 % they are known to
-)
-SAME_WEIGHTS = (
-    0.1  # of an effect, by which its error bars move by 10 % at most, which is as well as the least are known (`SCALE_DOF`)
 )
 CATCHES_UP = 3.0  # ln of the odds that a further name may be behind what stands and still be fitted to its end: chi2 of 2 where
 # it needs 14.  Of one that shows with 5 sigmas the captures used say so little once in 3000
@@ -68,7 +63,7 @@ class Investigation:
     ``standing`` is what is believed; ``known`` are all hypotheses with the weights of the present ``problem``, among them those
     with a member of ``standing`` taken out, about which the sum is linearised (``rough``: not fitted yet); ``table`` is the
     sum over what the catalogue holds, each subset ``about`` the hypothesis that it was linearised at; ``promised`` is the same
-    sum as derivatives alone have it.
+    sum as derivatives alone have it; ``based`` are the effects at which the present ``problem`` was made.
     """
 
     prepared: Prepared
@@ -92,6 +87,7 @@ class Investigation:
     remarks: list[str] = field(default_factory=list)
     forms: dict[str, tuple[FormRow, ...]] = field(default_factory=dict)
     whitened: tuple[Problem | None, dict[str, Float]] = (None, {})
+    based: tuple[Candidate, ...] = ()
 
     @property
     def fitted(self) -> Fit:
@@ -107,6 +103,11 @@ class Investigation:
     def doubt_share(self) -> float:
         """Prior odds of one doubt in units of an effect's."""
         return SLIPS / max(len(self.doubts), 1)
+
+    @property
+    def is_based(self) -> bool:
+        """Whether the present problem was made at the effects that stand, in their forms."""
+        return {id(m) for m in self.based} == {id(m) for m in self.standing.effects}
 
     def white(self) -> dict[str, Float]:
         """Whitened columns of every signature, with the weights of the present problem."""
@@ -228,7 +229,6 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
     shared = names & case.standing.names
     reference = case.known[shared if shared in case.known else NOTHING]
     members = [case.member(name) for name in sorted(names)]
-    case.rough.discard(names)
     values = dict(reference.values)
     weighed = case.linear.get(names)
     added, sigma = _added_values(case, reference, names, weighed) if weighed is not None else ({}, {})
@@ -252,6 +252,7 @@ def fitted_jointly(case: Investigation, names: Names) -> Hypothesis:
     ):
         found = _at_its_own_weights(case, found)
     case.known[names] = found
+    case.rough.discard(names)
     return found
 
 
@@ -303,37 +304,3 @@ def _added_values(
                 sigmas |= dict(zip(keys, map(float, term.tau * sigma[own]), strict=True))
             place += term.tau.size
     return values, sigmas
-
-
-def rebase(case: Investigation, say: Say) -> None:
-    """Predict and weigh anew at the model found so far, until it stands: variances grow with the effect."""
-    standing = case.standing
-    seeds = draws_of(standing.members)
-    for _ in range(MAX_REBASES):
-        model = named_model(case.prepared.model, case.standing)
-        say("simulating the plan with the effects named so far")
-        before = case.fitted
-        problem = case.prepared.problem_for(model, seeds=seeds, values=far_values(before))
-        problem.columns.update(case.problem.columns)
-        case.problem = problem
-        free = with_steps(before.free, standing.members, case.standing.values)
-        fitted = fitted_members(problem, standing.members, Point(model, before.point.values), free, pose=before.pose)
-        case.standing = hypothesis(problem, standing.members, fitted)
-        if all(_stands(before, case.fitted, effect) for effect in standing.effects):
-            break
-    case.prepared.stands_for(named_model(case.prepared.model, case.standing), case.problem, far_values(case.fitted))
-    case.known, case.told = {case.standing.names: case.standing}, {}
-    case.rough.clear()
-
-
-def _stands(before: Fit, after: Fit, effect: Candidate) -> bool:
-    """Whether an effect moved by so little that the weights made for where it was before hold.
-
-    Root mean square over its parameters: of eleven of a free form one is always found a sigma elsewhere.
-    """
-
-    def moved(key: str, nominal: float) -> float:
-        (old, old_sigma), (new, new_sigma) = before.value(key), after.value(key)
-        return (new - old) / max(STANDS * max(old_sigma, new_sigma), SAME_WEIGHTS * abs(new - nominal), np.finfo(float).tiny)
-
-    return bool(np.mean([moved(key, nominal) ** 2 for key, nominal in zip(effect.keys, effect.nominal, strict=True)]) < 1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from time import monotonic
 
 Say = Callable[[str], None]
@@ -58,8 +59,26 @@ class Deadline(Teller):
         inner = say if isinstance(say, Teller) else Teller(say, progress)
         super().__init__(inner, inner.counted_as)
         self.limit_s = limit_s
-        self.end_s = monotonic() + limit_s
+        self.end_s = self.stage_end_s = monotonic() + limit_s
         self.open = True
+
+    def stage(self, seconds: float | None = None) -> None:
+        """What comes now has so many seconds, or all that are left; never more than those."""
+        self.stage_end_s = self.end_s if seconds is None else min(monotonic() + seconds, self.end_s)
+
+    @contextmanager
+    def to_its_end(self) -> Iterator[None]:
+        """What is begun within the block goes on when the time of the stage is over: it is worth more than what it takes."""
+        kept, self.stage_end_s = self.stage_end_s, self.end_s
+        try:
+            yield
+        finally:
+            self.stage_end_s = kept
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all of the time is over, and not that of a stage alone."""
+        return monotonic() > self.end_s
 
     def __call__(self, words: str) -> None:
         """A step is about to begin."""
@@ -72,11 +91,11 @@ class Deadline(Teller):
         self.check()
 
     def check(self) -> None:
-        """End here where the time is over.
+        """End here where the time of the stage is over.
 
         Raises
         ------
         TimeUp
         """
-        if self.open and monotonic() > self.end_s:
+        if self.open and monotonic() > self.stage_end_s:
             raise TimeUp

@@ -39,41 +39,78 @@ ALPHA = 0.01  # false alarms in a true model, all candidates or all unknowns of 
 SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
 
-def account_of(case: Investigation, gate: Mapping[str, Any], *, say: Say, more: bool) -> Diagnosis:
-    """Everything that an investigation found; ``more`` also searches the next captures."""
+def account_of(
+    case: Investigation, gate: Mapping[str, Any], *, say: Say, more: bool, cut: str | None = None, unfitted: Sequence[str] = ()
+) -> Diagnosis:
+    """Everything that an investigation found; ``more`` also searches the next captures.
+
+    ``cut`` is what the search was at when its time was over: what was ``unfitted`` by then may be missing too, and no camera
+    of which nothing is named is consistent.
+    """
     prepared, held = case.prepared, case.held
     nominal = prepared.model
     say("weighing what is left over")
-    beside = with_unknown(case)
-    like = _likenesses(case)
-    model, effects = _model_with(case, like, beside)
+    beside, like = with_unknown(case), _likenesses(case)
+    stated = _stated(case, gate, like, beside)
     words = [*_words_left(case, beside), *against_priors(case), *unconfirmed(case.standing.names, beside.table)]
+    words += _beyond(case.standing.names, beside.table) if cut else []
     say("drawing the ladder")
-    models = [nominal] if model is nominal else [nominal, model]
+    models = [nominal] if stated.model is nominal else [nominal, stated.model]
     ladder = tuple(ladder_rows(prepared, models))
     confirm: dict[str, Any] = {}
     if held is not None:
         ladder += tuple(ladder_rows(held, models))
         confirm = _confirm(held, models)
-    if more and effects:
+    if more and stated.effects:
         say("searching captures that tell the closest candidates apart")
-    captures = tuple(next_captures(*prepared.settled(nominal), _pairs(case, like))) if more and effects else ()
-    return Diagnosis(
-        verdict=_verdict(like, bool(words), confirm),
-        effects=tuple(effects),
+        stated = replace(stated, next_captures=tuple(next_captures(*prepared.settled(nominal), _pairs(case, like))))
+    verdict = _verdict(like, bool(words), confirm)
+    return replace(
+        stated,
+        verdict="unfinished" if cut and verdict == "consistent" else verdict,
         candidates=_candidate_rows(case, beside),
-        unobservable=case.unobservable,
-        next_captures=captures,
         leftover="; ".join(words) or None,
         ladder=ladder,
-        gate=gate,
-        nominal=nominal,
-        model=model,
-        notes=(*prepared.table.notes, *case.remarks),
         holdout_gain=confirm,
-        probabilities=_probabilities(beside),
-        settings=_settings(case),
+        not_looked_at=(f"what more may be missing: the search ended while {cut}", *_not_fitted(unfitted)) if cut else (),
     )
+
+
+def _stated(case: Investigation, gate: Mapping[str, Any], like: Mapping[str, Likeness], beside: Beside) -> Diagnosis:
+    """What is named and how sure it is; a verdict needs more."""
+    model, effects = _model_with(case, like, beside)
+    return Diagnosis(
+        verdict="unfinished",
+        effects=tuple(effects),
+        candidates=tuple(sorted(case.rows, key=lambda row: row.p_corrected)),
+        unobservable=case.unobservable,
+        next_captures=(),
+        leftover=None,
+        ladder=(),
+        gate=gate,
+        nominal=case.prepared.model,
+        model=model,
+        notes=(*case.prepared.table.notes, *case.remarks),
+        probabilities={"nothing": beside.table.nothing, "unknown": beside.table.unknown},
+        settings={"alpha": ALPHA, "replicas": case.problem.base.replicas, "metrics": int(case.problem.keep.size)},
+    )
+
+
+def _not_fitted(names: Sequence[str]) -> list[str]:
+    return [f"effects that may be missing and were not fitted in full: {', '.join(names)}"] if names else []
+
+
+def _beyond(stands: Names, table: Posterior) -> list[str]:
+    """That more than what stands is likelier than not, in words: of what is known, for which the time was over."""
+    beyond = {names: chance for names, chance in table.probabilities().items() if names > stands and not _is_unknown(names)}
+    if sum(beyond.values()) <= FLAGGED_BESIDE:
+        return []
+    likeliest = max(beyond, key=lambda names: beyond[names]) - stands
+    return [f"{', '.join(sorted(likeliest))} may be missing too, for which the time was over"]
+
+
+def _is_unknown(names: Names) -> bool:
+    return any(name.startswith(UNKNOWN) for name in names)
 
 
 def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadline, *, unfitted: Sequence[str]) -> Diagnosis:
@@ -83,26 +120,12 @@ def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadlin
     suspects have none: sets of them that nobody fitted would decide it (a blur stood at 0.000 beside its rival's 1.000).
     """
     beside = with_unknown(case, ask_holdout=False)
-    like = _likenesses(case)
-    model, effects = _model_with(case, like, beside)
-    not_fitted = [f"effects that may be missing and were not fitted in full: {', '.join(unfitted)}"] if unfitted else []
-    return Diagnosis(
-        verdict="unfinished",
-        effects=tuple(effects),
-        candidates=tuple(sorted(case.rows, key=lambda row: row.p_corrected)),
-        unobservable=case.unobservable,
-        next_captures=(),
+    return replace(
+        _stated(case, gate, _likenesses(case), beside),
         leftover="; ".join(_words_left(case, beside)) or None,
-        ladder=(),
-        gate=gate,
-        nominal=case.prepared.model,
-        model=model,
-        notes=(*case.prepared.table.notes, *case.remarks),
-        probabilities=_probabilities(beside),
-        settings=_settings(case),
         not_looked_at=(
             f"all that comes after {watch.limit_s:g} s: stopped while {watch.words}",
-            *not_fitted,
+            *_not_fitted(unfitted),
             *(["what the hold-out says of it"] if case.held is not None else []),
             "the ladder, and captures to take next",
         ),
@@ -112,14 +135,6 @@ def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadlin
 def _candidate_rows(case: Investigation, beside: Beside) -> tuple[CandidateRow, ...]:
     rows = [replace(row, posterior=beside.table.of(row.name)) if row.observable else row for row in case.rows]
     return tuple(sorted(rows, key=lambda row: row.p_corrected))
-
-
-def _probabilities(beside: Beside) -> dict[str, float]:
-    return {"nothing": beside.table.nothing, "unknown": beside.table.unknown}
-
-
-def _settings(case: Investigation) -> dict[str, Any]:
-    return {"alpha": ALPHA, "replicas": case.problem.base.replicas, "metrics": int(case.problem.keep.size)}
 
 
 def _words_left(case: Investigation, beside: Beside) -> list[str]:

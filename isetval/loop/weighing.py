@@ -22,6 +22,7 @@ from isetval.loop.shoulder import filling
 
 Float = NDArray[np.float64]
 HOLDS = 1.0  # sigmas of a row: of variances 3 % in flats of 1600 pixels a plane, a third of what weights are known to
+LEVEL_HOLDS = 10.0  # sigmas of the mean of such a plane, where its variances hold: less than 1 % of the light and of its noise
 
 
 def make_problem(
@@ -73,20 +74,26 @@ def make_problem(
 def _that_hold(predictor: Predictor, anchor: Float, seeds: tuple[int, ...], near: Problem) -> dict[str, Replicas]:
     """Replicas of shots whose rows stand within `HOLDS` sigmas of where they were simulated: weights and scatter are the same.
 
-    A mean over pixels does not feel their noise: shots in which it is not measured hold only where all those do in which it is.
+    A mean over pixels does not feel their noise: shots in which it is not measured hold only where noise does in all those in
+    which it is.  A flat that is a little brighter is no noisier.
     """
     sigma = np.sqrt(np.diag(near.base.covariance))
+    of_noise = np.array([m.unit != "DN" for m in predictor.table.metrics], bool)  # variances and counts
+    limit = sigma * np.where(of_noise, HOLDS, LEVEL_HOLDS)
 
-    def holds(name: str) -> bool:
+    def rows_that_hold(name: str) -> NDArray[np.bool_]:
         own, rows = near.replicas[name], predictor.rows[name]
         off = np.abs(anchor[rows] - own.anchor)
         lost = np.isnan(anchor[rows]) & np.isnan(own.anchor)
-        return own.seeds == seeds and bool(np.all(lost | (off <= HOLDS * sigma[rows])))
+        allowed = HOLDS * sigma[rows] if predictor.differences[name].one_frame else limit[rows]
+        return np.asarray((own.seeds == seeds) & (lost | (off <= allowed)))
 
-    known = {shot.name: holds(shot.name) for shot in predictor.shots if shot.name in near.replicas}
-    of_noise = [here for name, here in known.items() if not predictor.differences[name].one_frame]
-    quiet = bool(of_noise) and all(of_noise)
-    return {n: near.replicas[n] for n, here in known.items() if here and (quiet or not predictor.differences[n].one_frame)}
+    known = {shot.name: rows_that_hold(shot.name) for shot in predictor.shots if shot.name in near.replicas}
+    noisy = [
+        bool(np.all(own | ~of_noise[predictor.rows[n]])) for n, own in known.items() if not predictor.differences[n].one_frame
+    ]
+    quiet = bool(noisy) and all(noisy)
+    return {n: near.replicas[n] for n, own in known.items() if own.all() and (quiet or not predictor.differences[n].one_frame)}
 
 
 def _moved(replicas: Replicas, anchor: Float) -> Sampled:

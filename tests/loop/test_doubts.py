@@ -13,7 +13,6 @@ from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import WIDER, candidates_for, doubts_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.detective import _better
 from isetval.loop.evidence import hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, weigh_neighbours
@@ -21,6 +20,7 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
+from isetval.loop.search import _better
 from isetval.loop.signatures import Signature
 from isetval.loop.unknown import pulled
 

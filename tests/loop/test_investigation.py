@@ -10,20 +10,21 @@ import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.scene import Spectrum
-from isetval.loop import hold_out, investigation
+from isetval.loop import hold_out, investigation, search
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters, slopes
-from isetval.loop.detective import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed
 from isetval.loop.evidence import first_steps, hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.hold_out import ask_holdout, likely_in_both
-from isetval.loop.investigation import Heard, Investigation, _stands, fitted_jointly, rebase, weigh_neighbours
+from isetval.loop.investigation import Heard, Investigation, fitted_jointly, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
+from isetval.loop.rebase import _stands, rebase
 from isetval.loop.score_test import make_frame
+from isetval.loop.search import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed
 from isetval.loop.shortlist import _proposals, of_several_classes
 from isetval.loop.signatures import Signature
 from isetval.loop.telling import Deadline
@@ -285,21 +286,17 @@ def test_beside_noise_all_else_is_differenced_over_one_draw(case):
 @pytest.mark.parametrize(("said", "named"), [(-6.0, False), (6.0, True)])
 def test_what_the_hold_out_says_adds_to_the_evidence(monkeypatch, said, named):
     """An effect of even odds is named where a second session is e^6 times as probable with it, and not where e^6 times less."""
-    import isetval.loop.detective as detective
-
     case = case_of(3.4 * np.eye(ROWS)[0])
     single = fitted_jointly(case, frozenset({"dark_current"}))
     assert 0 < case.score(single) - case.score(case.standing) < np.log(ODDS)
     case.held = object()
-    monkeypatch.setattr(detective, "ask_holdout", lambda case, found: case.told.update({h.names: said for h in found}))
+    monkeypatch.setattr(search, "ask_holdout", lambda case, found: case.told.update({h.names: said for h in found}))
     better = _better(case, quiet, {NOTHING}, first=True)
     assert (better is not None) == named
 
 
 def test_the_hold_out_is_asked_between_two_names_that_are_both_far_above_nothing(monkeypatch):
     """Far from nothing but close to each other: a vignetting was answered with a light whose tilts the second session denied."""
-    import isetval.loop.detective as detective
-
     case = case_of(30.0 * (np.eye(ROWS)[0] + MIXED))
     case.held = object()
     two = [frozenset({"dark_current"}), frozenset({"black_level"})]
@@ -307,7 +304,7 @@ def test_the_hold_out_is_asked_between_two_names_that_are_both_far_above_nothing
     for said in (told, dict(zip(two, reversed(told.values()), strict=True))):
         case.told.clear()
         monkeypatch.setattr(
-            detective, "ask_holdout", lambda case, found, said=said: case.told.update({h.names: said[h.names] for h in found})
+            search, "ask_holdout", lambda case, found, said=said: case.told.update({h.names: said[h.names] for h in found})
         )
         assert _better(case, quiet, {NOTHING}, first=True).names == max(said, key=said.get)
         assert abs(case.known[two[0]].log_evidence - case.known[two[1]].log_evidence) < CLEAR
@@ -539,19 +536,28 @@ def test_what_rounding_adds_to_derivatives_is_no_knowledge():
 
 
 def test_a_base_stands_where_each_effect_does():
-    """Eleven parameters that scatter by half a sigma or one stand; two sigmas of one effect are not lost among them."""
+    """Eleven parameters that scatter by half a sigma or one stand; two sigmas of one effect are not lost among them.
 
-    def found(values):
-        return SimpleNamespace(value=lambda key: (values[key], 1.0))
-
+    Unless they are two sigmas of many rows together, none of which feels them: no weight was another one.
+    """
     form = SimpleNamespace(keys=tuple(f"form.free_{i}" for i in range(11)), nominal=np.zeros(11))
     gain = SimpleNamespace(keys=("gain.d",), nominal=np.zeros(1))
-    before = found(dict.fromkeys((*form.keys, *gain.keys), 1.0))
-    after = found(dict.fromkeys(form.keys, 1.5) | {"form.free_3": 2.0, "gain.d": 3.0})
-    assert _stands(before, after, form)
-    assert not _stands(before, after, gain)
+    keys = (*form.keys, *gain.keys)
+
+    def found(values, rows=1):
+        jacobian = np.full((rows, len(keys)), rows**-0.5)  # each parameter is known to one sigma
+        free = [SimpleNamespace(label=key) for key in keys]
+        moved = np.array([values.get(key, 0.0) for key in keys])
+        return SimpleNamespace(value=lambda key: (values[key], 1.0), values=moved, free=free, jacobian=jacobian)
+
+    before = found(dict.fromkeys(keys, 1.0))
+    after = dict.fromkeys(form.keys, 1.5) | {"form.free_3": 2.0, "gain.d": 3.0}
+    assert _stands(before, found(after), form)
+    assert not _stands(before, found(after), gain)
     assert not _stands(before, found(dict.fromkeys(form.keys, 2.0)), form)
     assert _stands(before, before, gain)
+    assert not _stands(before, found(after, rows=3), gain)
+    assert _stands(before, found(after, rows=5), gain)  # .9 sigmas of each row
 
 
 class LitCamera(LinearCamera):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from isetval.loop import detective, shortlist
+from isetval.loop import search, shortlist
 
 OWN = {"knee": -411.0, "bent": -430.4, "table": -470.0}  # ln(Z pi) of the trial that this is (a knee of .76 % at 2500 e-)
 FREE = {"knee": -400.7, "bent": -407.6, "table": -469.0}
@@ -76,10 +76,10 @@ def test_a_curve_and_a_further_name_are_both_asked_of_the_hold_out(monkeypatch, 
     def in_best_form(case, found, say, *, asked, heard):
         return shaped if asked and shaped is not None and shaped.names == found.names else found
 
-    monkeypatch.setattr(detective, "in_best_form", in_best_form)
-    monkeypatch.setattr(detective, "said", lambda case, asked: [h.word for h in asked])
-    assert detective._form_before_name(case, named, print) is (shaped if wanted == "curve" else named)
+    monkeypatch.setattr(search, "in_best_form", in_best_form)
+    monkeypatch.setattr(search, "said", lambda case, asked: [h.word for h in asked])
+    assert search._form_before_name(case, named, print) is (shaped if wanted == "curve" else named)
     # the same of two names in the place of one: of a shifted fall-off a shadow beside a light's tilt had 41 more in chi2
     exchanged = Standing({"light", "dust"}, 4.0, word=15.0)
     case.known[exchanged.names] = exchanged
-    assert detective._form_before_name(case, exchanged, print) is (shaped if wanted == "curve" else exchanged)
+    assert search._form_before_name(case, exchanged, print) is (shaped if wanted == "curve" else exchanged)

@@ -15,7 +15,7 @@ from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
-from isetval.loop import telling
+from isetval.loop import search, telling
 from isetval.loop.telling import Deadline, Teller, TimeUp
 
 WHITE = Light("white", Spectrum(np.array([390.0, 710.0]), np.array([0.0016, 0.0016])))
@@ -74,28 +74,76 @@ def test_words_pass_through_and_the_clock_stops_them(monkeypatch):
     assert counted == [("measuring", 1, 3), ("measuring", 2, 3)]
 
 
+def test_the_time_of_a_stage_ends_before_all_of_it_and_never_after(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(telling, "monotonic", lambda: now[0])
+    watch = Deadline(10.0)
+    watch.stage(3.0)
+    now[0] = 4.0
+    with pytest.raises(TimeUp):
+        watch.check()
+    assert not watch.is_over
+    watch.stage()
+    watch.check()
+    watch.stage(20.0)
+    now[0] = 11.0
+    with pytest.raises(TimeUp):
+        watch.check()
+    assert watch.is_over
+
+
 def test_wherever_it_is_stopped_it_says_what_is_best_so_far(nominal, captures, steps):
-    """The search is cut at ever later steps until it comes to its end; all that it names on the way is what is hidden."""
-    limit, verdicts, named = 2.0, [], []
-    while not verdicts or verdicts[-1] == "unfinished":
+    """The search is cut at ever later steps until it comes to its end; all that it names on the way is what is hidden.
+
+    The search has a third of the time: where it is cut the rest of the time may do for a verdict, or not.
+    """
+    limit, verdicts, named, told = 2.0, [], [], {"not_looked_at": ["everything"]}
+    while told["not_looked_at"]:
         found, told = stopped(nominal, captures, limit)
         verdicts.append(found.verdict)
         named.append([e.name for e in found.effects])
+        assert told["not_looked_at"] == list(found.not_looked_at)
+        text = "\n".join(diagnosis_lines(told))
+        assert ("not looked at: " in text) == bool(found.not_looked_at)
         if found.verdict == "unfinished":
-            assert any("stopped" in words for words in found.not_looked_at)
-            assert told["not_looked_at"] == list(found.not_looked_at)
-            assert all(c.posterior is None for c in found.candidates)  # of sets that nobody fitted
-            assert not found.effects or any("hold-out" in words for words in found.not_looked_at)
-            text = "\n".join(diagnosis_lines(told))
-            assert "not looked at: " in text
+            assert any("stopped" in words or "the search ended" in words for words in found.not_looked_at)
             assert ("the time was over before" in text) == (not found.candidates)
             assert page_content([{"kind": "diagnose", **told}])
+        if any("stopped" in words for words in found.not_looked_at):
+            assert found.verdict == "unfinished"
+            assert all(c.posterior is None for c in found.candidates)  # of sets that nobody fitted
+            assert not found.effects or any("hold-out" in words for words in found.not_looked_at)
+        elif found.not_looked_at:
+            assert any("the search ended" in words for words in found.not_looked_at)
+            assert found.verdict != "consistent"
+            assert found.leftover or found.effects
+            assert found.ladder
         limit *= 1.25
     assert named[-1] == [HIDDEN]
     assert named[0] == []
-    assert [HIDDEN] in named[:-1]  # cut after the fit, before the hold-out and the ladder
+    assert [HIDDEN] in named[:-1]  # cut after the fit
     assert all(names in ([], [HIDDEN]) for names in named)
     assert len(verdicts) > 4
+
+
+def test_where_the_search_is_cut_a_verdict_says_what_was_found_by_then(monkeypatch, nominal, captures, steps):
+    """With time for all but a search: what stands is weighed and asked of the hold-out, and what is left over is told."""
+    monkeypatch.setattr(search, "SEARCH", 1e-5)
+    verdicts, named = [], []
+    while "attributed" not in verdicts and "partial" not in verdicts:
+        found, told = stopped(nominal, captures, 2000.0)
+        verdicts.append(found.verdict)
+        named.append([e.name for e in found.effects])
+        assert found.ladder
+        assert told["not_looked_at"][0].startswith("what more may be missing: the search ended while ")
+        if not named[-1]:
+            assert found.verdict == "unexplained"
+            assert found.leftover
+        assert "not looked at: " in "\n".join(diagnosis_lines(told))
+        search.SEARCH *= 2
+    assert named[0] == []
+    assert named[-1] == [HIDDEN]
+    assert all(names in ([], [HIDDEN]) for names in named)
 
 
 def test_a_limit_that_is_no_time_is_refused(nominal, captures):
