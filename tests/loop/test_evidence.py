@@ -8,6 +8,7 @@ import pytest
 import isetval
 from isetval.core.parameter import Parameter
 from isetval.core.toml import data_folder
+from isetval.loop import evidence
 from isetval.loop.candidates import candidates_for
 from isetval.loop.evidence import imitators, with_longer_steps
 from isetval.loop.posterior import Posterior
@@ -77,3 +78,24 @@ def test_a_step_that_would_move_by_less_than_a_tenth_is_kept(short, another):
     assert (found.step != free[0].step) == another
     if another:
         assert found.step == pytest.approx(longest)
+
+
+@pytest.mark.parametrize("settles", [True, False])
+def test_a_step_that_was_tried_is_not_asked_for_again(monkeypatch, settles):
+    """By short steps a glare stands 4.9 sigmas off and asks for long ones, by which it stands 6 off and asks for short ones."""
+    tried = []
+
+    def fit(problem, start, free, **how):
+        tried.append(free[0].step)
+        return SimpleNamespace(free=tuple(free), point=None, pose={}, leaves_more=False, cost=0.0)
+
+    def longer(fitted, members):
+        step = fitted.free[0].step
+        return (fitted.free[0].stepped(2.0 if settles or step < 2 else 1.02),)  # within a tenth of the first
+
+    monkeypatch.setattr(evidence, "fit", fit)
+    monkeypatch.setattr(evidence, "with_longer_steps", longer)
+    monkeypatch.setattr(evidence, "imitators", lambda fitted: frozenset())
+    glare = Parameter("gamma", owner="veiling_glare", low=0.0, step=1.0)
+    evidence.fitted_members(SimpleNamespace(columns={}), (), None, (glare,), pose={})
+    assert tried == [1.0, 2.0]

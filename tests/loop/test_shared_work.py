@@ -10,11 +10,12 @@ from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.context import Context
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
+from isetval.effects import catalogue
 from isetval.loop import shot_task
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.prepared import prepare
 from isetval.loop.task_runner import Call, Runner
-from isetval.loop.weighing import make_problem
+from isetval.loop.weighing import HOLDS, make_problem
 from isetval.measure.campaign import measure_campaign
 from isetval.measure.noise.code_density import LEAST_CODES, LEAST_COUNTS, code_widths
 
@@ -117,6 +118,17 @@ def test_replicas_do_not_hold_where_the_noise_changes(model, plan):
         found = make_problem(prepared.problem.predictor, louder, near=[prepared.problem])
         kept = {name for name, own in found.replicas.items() if own is prepared.problem.replicas[name]}
         assert kept <= {"flat"}  # whose own shot noise is wider; the edge is as bright but tells nothing of noise
+
+
+@pytest.mark.parametrize(("longer_ms", "kept"), [(0.01, {"long", "short", "flat", "edge"}), (1.0, {"long", "short"})])
+def test_replicas_of_a_little_more_light_hold(model, plan, longer_ms, kept):
+    """Of 10 ms .01 more move the mean of a flat by more than a sigma, its noise and the edge by none."""
+    with prepare(model, simulate(model, plan, 1)) as prepared:
+        near, predictor = prepared.problem, prepared.problem.predictor
+        found = make_problem(predictor, Point(model.add(catalogue()["exposure_time"](offset_ms=longer_ms))), near=[near])
+        off = np.abs(found.anchor - near.anchor) / np.sqrt(np.diag(near.base.covariance))
+        assert np.nanmax(off[predictor.rows["flat"]]) > HOLDS
+        assert {name for name, own in found.replicas.items() if own is near.replicas[name]} == kept
 
 
 @pytest.mark.parametrize("kind", ["normal", "uniform"])

@@ -52,7 +52,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         "--limit-s",
         metavar="SECONDS",
         type=positive_seconds,
-        help="stop the search then and say what is best so far (default: 900; what was simulated is kept for the next run)",
+        help="what it may take, a third of it for naming; what it did not look at it says (default: 900; simulations are kept)",
     )
     curve_options(p)
     p.set_defaults(handler=diagnose, writes_result=True)
