@@ -21,6 +21,7 @@ from isetval.core.errors import InputError
 Float = NDArray[np.float64]
 UNITS = ("radiance", "irradiance", "electron", "dn")
 SPECTRAL_UNITS = ("radiance", "irradiance")
+SHIFT_STATED_AT_NM = 550.0  # shifts of interference filters go with the wavelength; this is the middle of what is seen
 
 FieldCurve = Callable[[Float, Float], Float]
 """A quantity over the sensor at places (x_mm, y_mm) from its middle.  Arguments broadcast."""
@@ -137,7 +138,8 @@ class Filters:
     """How the colour filters differ from their tables: stated by effects in front of the quantum efficiency, which applies it.
 
     ``leak`` is a quantum efficiency added beyond the infrared-cut filter, in electrons per photon; ``shift_nm`` moves the
-    curves, and broadcasts to (rows, cols) (None: nowhere); ``apart_nm`` moves those of red, green and blue each by its own.
+    curves by so much at `SHIFT_STATED_AT_NM`, elsewhere in proportion to the wavelength, and broadcasts to (rows, cols) (None:
+    nowhere); ``apart_nm`` moves those of red, green and blue each by its own.
     """
 
     leak: float = 0.0

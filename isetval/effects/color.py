@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, ParameterInfo, parameter, table_file
+from isetval.core.effect import Effect, FreeAxis, ParameterInfo, parameter, table_file
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum, read_spectra
-from isetval.core.signal import Signal
+from isetval.core.signal import SHIFT_STATED_AT_NM, Signal
 from isetval.core.toml import resolve_path
 
 Float = NDArray[np.float64]
@@ -31,8 +31,8 @@ class CfaAngleShift(Effect):
     """Colour-filter curves that move with the angle of incidence: a colour residual growing with r.
 
     Confounded with an error of the light's spectrum, which does not depend on the place in the field.
-    Interference filters move to shorter wavelengths: delta < 0.  Stands before quantum_efficiency,
-    which moves its curves (linear between whole nanometres).
+    Interference filters move to shorter wavelengths, in proportion to them: delta < 0.  Stands before quantum_efficiency,
+    which moves its curves (linear between whole nanometres at 550 nm).
     """
 
     name = "cfa_angle_shift"
@@ -46,11 +46,12 @@ class CfaAngleShift(Effect):
         "microlens",
         "spectral_crosstalk",
     )
-    equation = "QE(lambda - Delta(r)), Delta = delta r^2, r = 1 at the corner"
-    reference = "Macleod, Thin-Film Optical Filters, 4th ed., sec. 8.2 (shift with angle, second order)"
+    free = FreeAxis("field radius", "filters", 0.5)
+    equation = "QE(lambda (1 - Delta(r)/550 nm)), Delta = delta r^2, r = 1 at the corner"
+    reference = "Macleod, Thin-Film Optical Filters, 4th ed., sec. 8.2: lambda sqrt(1 - sin^2/n^2), second order"
     must_not_change = ("dark", "edge")
 
-    delta_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=5.0, doc="shift of the QE at the corner")
+    delta_nm: float = parameter(0.0, unit="nm", low=-40.0, high=40.0, tau=5.0, doc="shift of the QE at the corner, at 550 nm")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """State the shift for quantum_efficiency."""
@@ -209,7 +210,8 @@ class QuantumEfficiency(Effect):
         total: Any = 0.0
         for node in np.union1d(nodes, nodes + 1) if shift is not None else nodes:
             weight = 1.0 if shift is None else np.maximum(0.0, 1 - np.abs(shift - node))
-            total = total + weight * signal.mixed((self._moved_apart(context, grid - node, apart) + leak) * photons)
+            moved = grid * (1 - node / SHIFT_STATED_AT_NM)
+            total = total + weight * signal.mixed((self._moved_apart(context, moved, apart) + leak) * photons)
         return signal.with_values(np.asarray(total) * _known_to(context, len(total)), "electron")
 
 

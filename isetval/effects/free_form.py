@@ -239,6 +239,17 @@ def _strength(effect: _Free, own: Own, signal: Signal, context: Context) -> Sign
     return effect.strengthened(1 + float(effect.curve(_shot_place(effect, context)))).apply(signal, context)
 
 
+def _filters(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:
+    """The shift of the filters that the effect states, times 1 + f."""
+    out = own(signal, context)
+    after, before = out.filters.shift_nm, signal.filters.shift_nm
+    if after is None:
+        return out
+    own_shift = after if before is None else after - before
+    more = effect.curve(_place(effect, signal, context))[0] * own_shift
+    return replace(out, filters=replace(out.filters, shift_nm=after + more))
+
+
 def _transfer(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:
     """The effect's loss of contrast, one less its transfer function, times 1 + f of the frequency."""
     out = own(signal, context)
@@ -284,6 +295,7 @@ _WAYS: dict[str, Callable[[_Free, Own, Signal, Context], Signal]] = {
     "gain": _gain,
     "share": _share,
     "strength": _strength,
+    "filters": _filters,
     "transfer": _transfer,
 }
 _SCENE_WAYS: dict[str, Callable[[_Free, OwnScene, Scene, Context], Scene]] = {

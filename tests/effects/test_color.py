@@ -15,6 +15,7 @@ from isetval.effects.color import (
     QuantumEfficiency,
     SpectralCrosstalk,
 )
+from isetval.effects.free_form import curve_on_axis, freed
 from isetval.effects.pixel import Microlens
 
 
@@ -129,6 +130,34 @@ def test_shifted_filters_are_a_shifted_curve(place, light, quantum):
     mean_qe = 0.1 + 150 * slope
     # curve and interpolation between whole nanometres are linear, so this is exact
     np.testing.assert_allclose(moved / still, [1 - slope * 8 * r2 / mean_qe, 1, 1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("middle_nm", [440.0, 650.0])
+def test_filters_at_a_slant_move_in_proportion_to_the_wavelength(place, light, quantum, middle_nm):
+    """lambda sqrt(1 - sin^2/n^2): stated at 550 nm, at 440 it is four fifths of that; a linear QE falls by the slope times it."""
+    slope = 1e-3
+    effect = quantum("wavelength_nm,R,G,B", [(300, *3 * (0.1,)), (800, *3 * (0.1 + 500 * slope,))])
+    grid = np.arange(middle_nm - 50, middle_nm + 51, 10.0)
+    triangle = np.maximum(0, 1 - np.abs(grid - middle_nm) / 40) / grid
+    corner = place(window=(0, 0, 1, 1))
+    r2 = (2015.5**2 + 1511.5**2) / 2520.0**2
+
+    def seen(shift):
+        return effect.apply(shift.apply(light(triangle, grid, (1, 1)), corner), corner).values[:, 0, 0]
+
+    still, moved = seen(CfaAngleShift()), seen(CfaAngleShift(delta_nm=-8.0))
+    mean_qe = 0.1 + (middle_nm - 300) * slope
+    np.testing.assert_allclose(moved / still, 1 + slope * 8 * r2 * middle_nm / 550 / mean_qe, rtol=1e-12)
+
+
+def test_a_free_form_of_a_shift_multiplies_it_pixel_by_pixel(place, light):
+    context = place(window=(0, 0, 3, 4000))
+    free = freed(CfaAngleShift(delta_nm=-8.0)).changed(free_1=0.5, free_2=-1.0)
+    out = free.apply(QeShift(red_nm=1.0).apply(CfaAngleShift(delta_nm=2.0).apply(light(), context), context), context)
+    r = context.field_radius()
+    np.testing.assert_allclose(out.filters.shift_nm, 2 * r**2 - 8 * r**2 * (1 + curve_on_axis(free, r)), rtol=1e-12)
+    assert np.ptp(curve_on_axis(free, r)) > 0.1
+    assert freed(CfaAngleShift()).changed(free_1=1.0).apply(light(), context).filters.shift_nm is None
 
 
 def test_each_channels_curve_moves_by_its_own(place, light, quantum):
