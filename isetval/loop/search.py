@@ -24,9 +24,9 @@ MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and
 def search(case: Investigation, watch: Deadline) -> str | None:
     """Change what is believed until nothing is more probable.
 
-    It has `SEARCH` of the time that was given.  Where that is over before, what is likeliest of what was fitted stands, is
-    weighed at its own base and asked of the hold-out: the words are those of what was being done then.  An outsider leaves
-    what no name explains however many are fitted: that it is there is known long before all were asked.
+    It has `SEARCH` of the time that was given.  Where that is over before, the hold-out is asked of what was fitted by then, and
+    what is likeliest is weighed at its own base: the words are those of what was being done.  An outsider leaves what no name
+    explains however many are fitted: that it is there is known long before all were asked.
 
     Raises
     ------
@@ -36,14 +36,18 @@ def search(case: Investigation, watch: Deadline) -> str | None:
     seen = {case.standing.names}
     watch.stage(SEARCH * watch.limit_s)
     try:
-        _search(case, watch, seen)
-        return None
+        try:
+            _search(case, watch, seen)
+            return None
+        except TimeUp:
+            if watch.is_over:
+                raise
+        words = watch.words
+        watch.stage()
+        case.standing = _decided(case, watch, seen) or case.standing
     except TimeUp:
         case.standing = _winner(case, seen) or case.standing
-        if watch.is_over:
-            raise
-    words = watch.words
-    watch.stage()
+        raise
     _settle(case, watch, seen)
     return words
 
