@@ -196,8 +196,8 @@ def fitted_members(
 def _are_alike(some: Sequence[Parameter], others: Sequence[Parameter]) -> bool:
     """Whether finite steps are the same within `SAME_STEP`.
 
-    A glare five sigmas off its lowest value has short steps to both sides, by which it is found at 4.9, and long ones to one
-    side, by which it is found at 6: either is good, and each fit would ask for the other's.
+    A glare about `CLEAR_OF` sigmas off its lowest value has short steps to both sides, by which it may be found nearer, or long
+    ones to one side, by which it may be found farther off: either is good, and each fit would ask for the other's.
     """
     return all(abs(a.step - b.step) <= SAME_STEP * abs(b.step) for a, b in zip(some, others, strict=True))
 
