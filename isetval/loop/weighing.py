@@ -74,6 +74,7 @@ def make_problem(
 def _that_hold(predictor: Predictor, anchor: Float, seeds: tuple[int, ...], near: Problem) -> dict[str, Replicas]:
     """Replicas of shots whose rows stand within `HOLDS` sigmas of where they were simulated: weights and scatter are the same.
 
+    Levels of darks and flats (means, and what is linear in them: gradients, drifts) may stand `LEVEL_HOLDS` off.
     A mean over pixels does not feel their noise: shots in which it is not measured hold only where noise does in all those in
     which it is.  A flat that is a little brighter is no noisier.
     """
