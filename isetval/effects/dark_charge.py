@@ -204,7 +204,9 @@ class TransientHits(Effect):
     """Particles that pass the sensor: single pixels with much charge, elsewhere in every frame.
 
     Outliers that do not stay: hot_pixels keep their places and grow with time, rts pixels keep theirs.  Their number grows
-    with time and pixel area; short exposures of small sensors on the ground hold none.
+    with time and pixel area; short exposures of small sensors on the ground hold none.  Between the reset before a frame and its
+    reading lies more than the exposure: what a frame gathers while it waits is as much at any exposure time, and so is what
+    else strikes single pixels of it.
     """
 
     name = "transient_hits"
@@ -221,17 +223,20 @@ class TransientHits(Effect):
         "hot_pixels",
         "rts",
     )
-    equation = "N + charge x (exponential number of mean 1) in rate x t pixels of a million, chosen anew in every frame"
+    equation = "N + charge x (exponential number of mean 1) in rate x t + count pixels of a million, chosen anew in every frame"
     reference = "Groom, Experimental Astronomy 14 (2002) 45 (cosmic rays and other nonsense in CCD images)"
 
     rate_per_mpx_s: float = parameter(
         0.0, unit="1/(Mpx s)", low=0.0, high=1e6, tau=20.0, doc="hits per second and million pixels"
     )
+    count_per_mpx: float = parameter(
+        0.0, unit="1/Mpx", low=0.0, high=1e6, tau=50.0, doc="hits per frame and million pixels at any exposure time"
+    )
     charge_e: float = parameter(1000.0, unit="e-", low=0.0, high=1e6, tau=500.0, shape=True, doc="mean charge of a hit")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add this frame's hits, or their mean to the expectation."""
-        share = min(self.rate_per_mpx_s * 1e-6 * context.time_s(), 1.0)
+        share = min(1e-6 * (self.rate_per_mpx_s * context.time_s() + self.count_per_mpx), 1.0)
         if not (share and self.charge_e):
             return signal
         values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))

@@ -141,6 +141,24 @@ def test_both_cameras_agree_pixel_by_pixel(lens, tmp_path):
         assert np.max(np.abs(ours - theirs)) < tolerance * ours.max(), name
 
 
+@pytest.mark.parametrize("lens", foreign.LENSES)
+@pytest.mark.parametrize("light", ["lamp", "tube"])
+def test_both_cameras_agree_on_every_patch_of_a_chart(lens, light, tmp_path):
+    """Mean electrons of patches through the lens: stray light of the whole chart, lines of a lamp, dark colours."""
+    foreign.write_campaign(tmp_path, DATA, seed=11, sessions=("A",), kind="edges", lens=lens, draw=False, blur_chart=False)
+    campaign, model = isetval.load_campaign(tmp_path), isetval.load_model(tmp_path / "camera.toml")
+    nominal = nominal_camera(tmp_path / "camera.toml")
+    place = next(p.place for p in plan.session(nominal, "A", "edges") if p.place.name == f"A_chart_mid_{light}")
+    shot = next(s for s in campaign.shots if s.name == place.name)
+    theirs = mean_electrons(model, ShotSetup(shot, campaign.lights[shot.light]))
+    ours = scene.mean_electrons(nominal, place, foreign.lights_of(nominal))
+    for name, (top, bottom, left, right) in place.target.boxes.items():
+        for row, col in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            one = slice(top + 4 + row, bottom - 4, 2), slice(left + 4 + col, right - 4, 2)
+            # straight lines between the points of both grids: 1.2e-4 at most where a line meets a slope
+            assert ours[one].mean() == pytest.approx(theirs[one].mean(), rel=2e-4), (name, row, col)
+
+
 def test_trials_name_effects_of_the_catalogue_and_strangers():
     names = set(catalogue())
     for trial in EFFECTS + FORMS:

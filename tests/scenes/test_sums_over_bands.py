@@ -81,3 +81,14 @@ def test_poisson_numbers_of_equal_chances_are_those_of_the_distribution():
     mean[0, :5] = 0.0, 1e-6, 3.0, 250.0, 400.0
     chance = rng.random(mean.shape)
     assert np.array_equal(_inverse_poisson(chance, mean), np.maximum(poisson.ppf(chance, mean), 0))
+
+
+def test_a_dark_colour_among_bright_ones_keeps_its_spectrum():
+    """A chart of 24 smooth spectra is taken apart into few pictures: nothing of a patch of 4 % may go with what is left out."""
+    grid = np.arange(380.0, 741.0, 5.0)
+    centers, widths = np.linspace(400, 700, 24), np.linspace(20, 60, 24)
+    humps = np.exp(-(((grid[:, None] - centers) / widths) ** 2) / 2)
+    spectra = np.where(np.arange(24) % 2, 0.04 + 0.1 * humps, 0.1 + 0.7 * humps)
+    label = np.repeat(np.arange(24), 4)[None] * np.ones((4, 1), int)
+    picture = SpectralPicture.of_labels(label, spectra, 0)
+    np.testing.assert_allclose(picture.sample(np.ones((grid.size, 1, 1)), None, grid)[:, 0, ::4], spectra, rtol=1e-4)

@@ -15,7 +15,9 @@ from isetval.core.metric import Block, Metric
 from isetval.core.sensor import Roi
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.noise.patch_noise import Patch, PatchMoments, patch_moments, uniform_patches
+from isetval.measure.noise.statistics import highest_normal_variance
 
+Float = NDArray[np.float64]
 ROLES = ("chart", "scene")
 OF_MOMENTS = ("roi", "size", "count", "seed", "channel")  # options of `uniform_patches` that say which patches
 SIZE = 10  # mosaic pixels, as in the paper
@@ -41,7 +43,8 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
 
     Notes
     -----
-    ``uniform_patch_noise`` is the root of the mean temporal variance of a bin's patches, in DN.  Which patches make a bin is
+    ``uniform_patch_noise`` is the root of the mean temporal variance of a bin's patches, in DN; patches beyond what normal noise
+    gives once in 1e8 are left out where they are fewer than a twentieth.  Which patches make a bin is
     a choice: those that are unclipped and even, in up to eight bins of equally many by rising mean, so that simulations use
     the very same places.
 
@@ -132,10 +135,21 @@ def _noise_row(
     conditions: dict[str, Any], shot: Shot, channel: str, region: str, found: PatchMoments, numbers: Sequence[int]
 ) -> Metric:
     """Root of the mean temporal variance of some patches, and its sigma."""
-    variance = found.temporal_std_dn[list(numbers)] ** 2
+    variance = _without_strikes(found.temporal_std_dn[list(numbers)] ** 2, found.dof)
     # the mean square of a variance with dof degrees of freedom is (1 + 2 / dof) of its square
     noise = math.sqrt(float(variance.mean()))
-    sigma = math.sqrt(float(np.sum(2 * variance**2 / (found.dof + 2)))) / len(numbers) / (2 * noise) if noise > 0 else 0.0
+    sigma = math.sqrt(float(np.sum(2 * variance**2 / (found.dof + 2)))) / len(variance) / (2 * noise) if noise > 0 else 0.0
     family = f"{shot.role}_noise_by_level"
     sigma = max(sigma, LEAST_SIGMA_DN)
     return metric(conditions, "uniform_patch_noise", noise, sigma, "DN", channel=channel, region=region, family=family)
+
+
+def _without_strikes(variance: Float, dof: int) -> Float:
+    """Variances of a bin's patches, by rising mean, without the few that one struck or blinking pixel makes.
+
+    A particle of 400 e- doubles the variance of a hundred patches, in whichever bin it fell: flats count such pixels and leave
+    them out of their noise.  The bulk is that of the brightest quarter, since variance grows with the level.
+    """
+    bulk = float(np.median(variance[-max(1, len(variance) // 4) :]))
+    normal = variance <= highest_normal_variance(bulk, dof)
+    return variance[normal] if np.mean(normal) >= AGREE else variance

@@ -277,10 +277,17 @@ def noisy_pixels(moments: Moments) -> NDArray[np.bool_] | None:
 
 def noisy_limit(moments: Moments) -> float:
     """Temporal variance that a pixel of a normal plane passes once in about 1e8."""
-    dof = moments.frames - 1
-    # Wilson and Hilferty: chi2 / dof ~ (1 - 2/(9 dof) + z sqrt(2/(9 dof)))^3 with z = 5.6
+    return highest_normal_variance(moments.bulk_variance, moments.frames - 1)
+
+
+def highest_normal_variance(bulk_dn2: float, dof: int) -> float:
+    """Variance of ``dof`` degrees of freedom that normal noise of a variance ``bulk_dn2`` passes once in about 1e8, DN^2.
+
+    Wilson and Hilferty: chi2 / dof ~ (1 - 2/(9 dof) + z sqrt(2/(9 dof)))^3, with z = 5.6; a fifth more for noise that is
+    not quite the same everywhere.
+    """
     factor = (1 - 2 / (9 * dof) + 5.6 * math.sqrt(2 / (9 * dof))) ** 3
-    return 1.2 * factor * max(moments.bulk_variance, 1 / 12)
+    return 1.2 * factor * max(bulk_dn2, 1 / 12)
 
 
 def trimmed_temporal(moments: Moments, clean: Moments) -> Quantity:

@@ -183,5 +183,6 @@ def _radial_transfer(wavelength_nm: float, f_number: float, defocus_um: float) -
     place, density = line_spread(wavelength_nm * 1e-3, f_number, defocus_um)
     step = place[1] - place[0]
     spectrum = np.fft.rfft(np.fft.ifftshift(density)).real * step
+    spectrum[0] = 1.0  # what is scattered beyond the table comes from a surround beyond it as well
     frequency = np.fft.rfftfreq(len(density), step) * wavelength_nm * 1e-3 * f_number
     return frequency, spectrum
