@@ -65,6 +65,18 @@ class Spectrum:
             return self.at(grid)
         return _band_means(*self.content, grid.tobytes())
 
+    def photon_means(self, wavelength_nm: ArrayLike) -> Float:
+        """Means over the hat functions of a grid by the number of photons, lambda L/lambda_k: those of a light before a camera.
+
+        `band_means` counts energy: if all of a band has the photons of its middle, efficiencies err by h^2/6 QE'/(QE lambda)
+        for bands h apart (4e-5 in red, 9e-5 in blue at 5 nm, of which a day of flats tells 6e-5).  Products are taken at
+        the wavelengths of the tables, as CIE 15 sums them, and at every nm.
+        """
+        grid = np.asarray(wavelength_nm, float)
+        if grid.size < 2 or self.wavelength_nm.size < 2:
+            return self.at(grid)
+        return _photon_means(*self.content, grid.tobytes())
+
 
 @lru_cache(maxsize=1024)
 def _band_means(table_nm: bytes, values: bytes, grid_nm: bytes) -> Float:
@@ -78,15 +90,31 @@ def _band_means(table_nm: bytes, values: bytes, grid_nm: bytes) -> Float:
     return np.asarray(means)
 
 
+@lru_cache(maxsize=1024)
+def _photon_means(table_nm: bytes, values: bytes, grid_nm: bytes) -> Float:
+    """`Spectrum.photon_means`, read-only."""
+    grid, light = np.frombuffer(grid_nm), Spectrum(np.frombuffer(table_nm), np.frombuffer(values))
+    points = _points(grid, light)
+    means = Spectrum(points, light.at(points) * points).band_means(grid) / grid
+    means.flags.writeable = False
+    return np.asarray(means)
+
+
+def _points(grid: Float, *tables: Spectrum) -> Float:
+    """Wavelengths at which tables are multiplied, (points,): their own and every nm of a grid."""
+    own = [table.wavelength_nm for table in tables]
+    return np.unique(np.concatenate([np.arange(grid[0], grid[-1] + 1.0), *own]))
+
+
 @lru_cache(maxsize=4096)
 def _weighted_means(light: tuple[bytes, bytes], spectrum: tuple[bytes, bytes], grid_nm: bytes) -> Float:
-    """Band means of a spectrum with a light as weight, read-only: the same tables are asked for at every point of a fit."""
+    """Band means of a spectrum with a light's photons as weight, read-only: a fit asks for the same tables at every point."""
     wavelength_nm = np.frombuffer(grid_nm)
     weights, values = (Spectrum(*map(np.frombuffer, table)) for table in (light, spectrum))
-    grid = np.union1d(weights.wavelength_nm, values.wavelength_nm)
-    weight = weights.at(grid)
-    total = Spectrum(grid, weight).band_means(wavelength_nm)
-    part = Spectrum(grid, weight * values.at(grid)).band_means(wavelength_nm)
+    points = _points(wavelength_nm, weights, values)
+    weight = weights.at(points) * points
+    total = Spectrum(points, weight).band_means(wavelength_nm)
+    part = Spectrum(points, weight * values.at(points)).band_means(wavelength_nm)
     means = np.where(total > 0, part / np.where(total > 0, total, 1.0), values.at(wavelength_nm))
     means.flags.writeable = False
     return np.asarray(means)
@@ -254,7 +282,7 @@ class Scene:
     wavelength_nm : (bands,)
     white : (bands,)
         Radiance in W/(sr m2 nm) of a perfect white diffuser in the light, or of the light itself
-        where the camera looks into it (flats).
+        where the camera looks into it (flats); means over the bands by the number of photons.
     light : Spectrum or None
         The light's own table: reflectances are averaged over the bands with its weight.
     lamp_factor : float or (bands,)
@@ -311,7 +339,7 @@ class Scene:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def reflectance(self, spectrum: Spectrum) -> Float:
-        """Band means (bands,) of a reflectance, weighted with the light: white times it is the exact radiance."""
+        """Band means (bands,) of a reflectance, weighted with the light's photons: white times it holds the exact number."""
         if self.light is None or self.light.wavelength_nm.size < 2 or spectrum.wavelength_nm.size < 2:
             return spectrum.band_means(self.wavelength_nm)
         return _weighted_means(self.light.content, spectrum.content, self.wavelength_nm.tobytes())

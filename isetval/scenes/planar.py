@@ -27,7 +27,7 @@ SPREAD_BYTES = 100_000_000  # of edge spread functions: a hundred pupils; light,
 
 def build_scene(shot: Shot, light: Light | None, wavelength_nm: Float, context: Context) -> Scene:
     """The scene of a shot with its nuisances: light level, spectrum tilt, light field, target."""
-    white = np.zeros_like(wavelength_nm) if light is None else light.radiance.band_means(wavelength_nm)
+    white = np.zeros_like(wavelength_nm) if light is None else light.radiance.photon_means(wavelength_nm)
     if shot.role == "dark":
         white = np.zeros_like(wavelength_nm)
     level = shot.light_level * max(0.0, 1 + context.get("light_level"))

@@ -52,6 +52,18 @@ def test_impossible_sensors_are_refused():
             Sensor(**({"rows": 10, "cols": 10} | changes))
 
 
+def test_photons_of_a_light_are_exact_behind_an_efficiency_of_straight_lines():
+    grid, table = np.arange(400.0, 701.0, 5.0), np.arange(380.0, 721.0, 1.0)
+    efficiency = np.exp((grid - 700.0) / 25.0)  # h^2/6 QE'/(QE lambda) = 3e-4
+    light = Spectrum(table, 0.1 + np.exp(-(((table - 541.7) / 3.0) ** 2)))
+    fine = np.linspace(400.0, 700.0, 300_001)
+    exact = np.trapezoid(np.interp(fine, table, light.values * table) * np.interp(fine, grid, efficiency), fine)
+    found = np.trapezoid(light.photon_means(grid) * grid * efficiency, grid)
+    assert found == pytest.approx(exact, rel=2e-5)
+    by_energy = np.trapezoid(light.band_means(grid) * grid * efficiency, grid)
+    assert abs(by_energy / exact - 1) > 1e-4
+
+
 def test_band_means_keep_the_integral_of_a_narrow_line():
     grid = np.arange(380.0, 741.0, 5.0)
     fine = np.arange(380.0, 740.01, 0.1)

@@ -132,8 +132,8 @@ def test_both_cameras_agree_pixel_by_pixel(lens, tmp_path):
     campaign, model = isetval.load_campaign(tmp_path), isetval.load_model(tmp_path / "camera.toml")
     nominal = nominal_camera(tmp_path / "camera.toml")
     lights, planned = foreign.lights_of(nominal), {p.place.name: p.place for p in plan.session(nominal, "A", "edges")}
-    # the model takes the photons' energy at the middle of its 5 nm bands: h^2/6 QE'/(QE lambda), 5e-5 for a QE of 1 %/nm
-    for name, tolerance in (("A_flat4", 5e-5), ("A_field09", 5e-5), ("A_edge_cv_z", 1e-4), ("A_edge_oh_p", 1e-4)):
+    # straight lines between a table's points, 1 nm apart: 1/6 nm^2 of bend in an efficiency, 3e-5 at most
+    for name, tolerance in (("A_flat4", 4e-5), ("A_field09", 4e-5), ("A_edge_cv_z", 8e-5), ("A_edge_oh_p", 8e-5)):
         shot = next(s for s in campaign.shots if s.name == name)
         theirs = mean_electrons(model, ShotSetup(shot, campaign.lights[shot.light]))
         ours = scene.mean_electrons(nominal, planned[name], lights)
