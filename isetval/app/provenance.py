@@ -13,9 +13,10 @@ from isetval.core.version import VERSION
 _NAMED = ("numpy", "scipy", "pandas", "rawpy", "opencv-contrib-python-headless", "mitsuba")
 METRIC_VERSIONS = {
     "chart": 1,
-    "dark": 4,
+    "dark": 5,
     "find_edges": 3,
-    "flat_fields": 4,
+    "flat_fields": 5,
+    "noise_by_level": 2,
     "patches": 2,
     "photon_transfer": 7,
     "relative_illumination": 2,
