@@ -230,7 +230,7 @@ class TransientHits(Effect):
         0.0, unit="1/(Mpx s)", low=0.0, high=1e6, tau=20.0, doc="hits per second and million pixels"
     )
     count_per_mpx: float = parameter(
-        0.0, unit="1/Mpx", low=0.0, high=1e6, tau=50.0, doc="hits per frame and million pixels at any exposure time"
+        0.0, unit="1/Mpx", low=0.0, high=1e6, tau=50.0, shape=True, doc="hits per frame and million pixels at any exposure time"
     )
     charge_e: float = parameter(1000.0, unit="e-", low=0.0, high=1e6, tau=500.0, shape=True, doc="mean charge of a hit")
 
