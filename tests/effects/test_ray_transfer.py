@@ -255,7 +255,7 @@ def test_captures_measured_back_agree_with_the_lens_file(tmp_path, which, lens, 
             window=(row, col, 160, 160),
             target=EdgeTarget("edge", angle_deg=5.0, orientation=orientation),
             distance_m=0.7,
-            frames=4,
+            frames=16,  # of 4 the noise alone passes .02 for one seed in ten
         )
         for row, col in ((1432, 1936), (900, 900))
         for orientation in ("vertical", "horizontal")

@@ -72,7 +72,8 @@ def test_all_patches_are_differentiated_in_one_step(camera):
         rows = problem.keep
         level = problem.base.mean[rows]
         for f, column, single in zip(own, together, alone, strict=True):
-            np.testing.assert_allclose(column, single, rtol=3e-3)  # tails of the blur bring .2 % from brighter patches
+            # tails of the blur bring .2 % from brighter patches, and one pixel of 64 may round the other way over the step of .1
+            np.testing.assert_allclose(column, single, rtol=3e-3, atol=1 / 64 / 0.1)
             mine = np.array([predictor.table.metrics[i].patch == f.patch for i in rows])
             means = np.array([predictor.table.metrics[i].name == "patch_mean" for i in rows])
             assert not column[rows][~mine].any()
