@@ -66,11 +66,12 @@ class Spectrum:
         return _band_means(*self.content, grid.tobytes())
 
     def photon_means(self, wavelength_nm: ArrayLike) -> Float:
-        """Means over the hat functions of a grid by the number of photons, lambda L/lambda_k: those of a light before a camera.
+        """Means (bands,) over the hat functions of a grid by the number of photons, lambda L/lambda_k, in the unit of ``values``.
 
-        `band_means` counts energy: if all of a band has the photons of its middle, efficiencies err by h^2/6 QE'/(QE lambda)
-        for bands h apart (4e-5 in red, 9e-5 in blue at 5 nm, of which a day of flats tells 6e-5).  Products are taken at
-        the wavelengths of the tables, as CIE 15 sums them, and at every nm.
+        What a light is before a camera: times lambda_k and an efficiency that is linear between the grid's nodes (nm), summed
+        with trapezoid weights, it has the exact number of photo-electrons.  `band_means` counts energy: if all of a band has
+        the photons of its middle, efficiencies err by h^2/6 QE'/(QE lambda) for bands h apart (second order of the hat's
+        variance).  Products are taken at the wavelengths of the tables, as CIE 15 sums them, and at every nm.
         """
         grid = np.asarray(wavelength_nm, float)
         if grid.size < 2 or self.wavelength_nm.size < 2:

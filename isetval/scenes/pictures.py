@@ -25,8 +25,8 @@ TRANSFER_COST = 4  # of a transfer function on a picture's frequencies, in pictu
 FEW = 7  # nodes of one polynomial; two of four each take no more
 COUNTS = (1, 2, 3, 4, 5, 7, 9, 13, 17, 25)
 TOLERANCE = 1e-6
-"""Of the largest part of a picture of labels, what is left out.  Errors are of the brightest spectra: left out at 1e-4, a green
-patch of 5 % erred by 8e-4 in red under lines, where its mean is known to 1e-4; a chart has 19 parts in place of 13."""
+"""Of the largest part of a picture of labels, what is left out.  Errors are of the brightest spectra, and a dark colour under a
+lamp with lines has some thousandth of those in a channel: at 1e-4 it was off by more than a chart's means are known to."""
 KEEP_BYTES = 300_000_000  # of each kind, in each process: five windows of a rendered chart
 _BLURRED: OrderedDict[str, Float] = OrderedDict()
 _LABELLED: OrderedDict[str, SpectralPicture] = OrderedDict()

@@ -155,7 +155,7 @@ def test_both_cameras_agree_on_every_patch_of_a_chart(lens, light, tmp_path):
     for name, (top, bottom, left, right) in place.target.boxes.items():
         for row, col in ((0, 0), (0, 1), (1, 0), (1, 1)):
             one = slice(top + 4 + row, bottom - 4, 2), slice(left + 4 + col, right - 4, 2)
-            # straight lines between the points of both grids: 1.2e-4 at most where a line meets a slope
+            # straight lines between points 1 nm apart, where a lamp's line meets a slope of the patch
             assert ours[one].mean() == pytest.approx(theirs[one].mean(), rel=2e-4), (name, row, col)
 
 

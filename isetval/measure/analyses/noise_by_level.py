@@ -147,8 +147,8 @@ def _noise_row(
 def _without_strikes(variance: Float, dof: int) -> Float:
     """Variances of a bin's patches, by rising mean, without the few that one struck or blinking pixel makes.
 
-    A particle of 400 e- doubles the variance of a hundred patches, in whichever bin it fell: flats count such pixels and leave
-    them out of their noise.  The bulk is that of the brightest quarter, since variance grows with the level.
+    A particle of a few hundred e- adds as much as all noise of a bin's patches, whichever it fell in: flats count such pixels and
+    leave them out of their noise.  The bulk is that of the brightest quarter, since variance grows with the level.
     """
     bulk = float(np.median(variance[-max(1, len(variance) // 4) :]))
     normal = variance <= highest_normal_variance(bulk, dof)

@@ -273,12 +273,12 @@ def noisy_pixels(moments: Moments) -> NDArray[np.bool_] | None:
     """Where the temporal variance is far above the plane's; None where it is so nowhere.
 
     A pixel with a deviation of d in a frame moves its row's mean there, and with it what is left of the others by d/(cols - 1)
-    at most: a particle of 2,000 e- made noisy pixels of its whole row.
+    at most: a strong particle would make noisy pixels of its whole row.
     """
     limit = noisy_limit(moments)
     if moments.highest_variance <= limit:
         return None
-    variance = np.asarray(moments.pixel_variance, np.float64)
+    variance = moments.pixel_variance
     strongest = variance.max(axis=1, keepdims=True)
     drawn_along = (math.sqrt(limit) + np.sqrt(strongest) / max(variance.shape[1] - 1, 1)) ** 2
     return np.asarray((variance > limit) & ((variance > drawn_along) | (variance == strongest)))
