@@ -13,12 +13,12 @@ from isetval.core.version import VERSION
 _NAMED = ("numpy", "scipy", "pandas", "rawpy", "opencv-contrib-python-headless", "mitsuba")
 METRIC_VERSIONS = {
     "chart": 1,
-    "dark": 5,
+    "dark": 6,
     "find_edges": 3,
-    "flat_fields": 5,
+    "flat_fields": 6,
     "noise_by_level": 2,
     "patches": 2,
-    "photon_transfer": 7,
+    "photon_transfer": 8,
     "relative_illumination": 2,
     "sfr": 4,
     "uniform_patches": 1,

@@ -13,6 +13,9 @@ from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.signal import Signal
 from isetval.effects.electrons import own, rare_pixels
 
+ALWAYS_S = (
+    10.0  # of waiting, beside which exposures of half a second add 5 % to the hits of a frame: as many at any exposure time
+)
 WIDEST = 10.0  # sigma over mean of uneven dark current: beyond it a few hot pixels hold all of it
 
 
@@ -205,8 +208,8 @@ class TransientHits(Effect):
 
     Outliers that do not stay: hot_pixels keep their places and grow with time, rts pixels keep theirs.  Their number grows
     with time and pixel area; short exposures of small sensors on the ground hold none.  Between the reset before a frame and its
-    reading lies more than the exposure: what a frame gathers while it waits is as much at any exposure time, and so is what
-    else strikes single pixels of it.
+    reading lies more than the exposure: what a frame gathers while it waits, and what else strikes single pixels of it, is as
+    much at any exposure time.
     """
 
     name = "transient_hits"
@@ -223,20 +226,21 @@ class TransientHits(Effect):
         "hot_pixels",
         "rts",
     )
-    equation = "N + charge x (exponential number of mean 1) in rate x t + count pixels of a million, chosen anew in every frame"
+    equation = "N + charge x (exponential number of mean 1) in rate x (t + wait) pixels of a million, chosen anew in every frame"
     reference = "Groom, Experimental Astronomy 14 (2002) 45 (cosmic rays and other nonsense in CCD images)"
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"wait_s": (0.0, ALWAYS_S)}
 
     rate_per_mpx_s: float = parameter(
         0.0, unit="1/(Mpx s)", low=0.0, high=1e6, tau=20.0, doc="hits per second and million pixels"
     )
-    count_per_mpx: float = parameter(
-        0.0, unit="1/Mpx", low=0.0, high=1e6, tau=50.0, shape=True, doc="hits per frame and million pixels at any exposure time"
+    wait_s: float = parameter(
+        0.0, unit="s", low=0.0, high=1e4, tau=5.0, shape=True, doc="time beside the exposure in which a frame gathers hits"
     )
     charge_e: float = parameter(1000.0, unit="e-", low=0.0, high=1e6, tau=500.0, shape=True, doc="mean charge of a hit")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Add this frame's hits, or their mean to the expectation."""
-        share = min(1e-6 * (self.rate_per_mpx_s * context.time_s() + self.count_per_mpx), 1.0)
+        share = min(1e-6 * self.rate_per_mpx_s * (context.time_s() + self.wait_s), 1.0)
         if not (share and self.charge_e):
             return signal
         values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))

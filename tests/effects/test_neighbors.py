@@ -91,10 +91,10 @@ def test_hits_come_at_their_rate_with_their_charge_and_never_twice(place):
     assert charge.mean() == pytest.approx(500.0, abs=5 * 500 / np.sqrt(charge.size))  # exponential: sigma = mean
     assert np.count_nonzero(frames[0] * frames[1]) < 5
     np.testing.assert_allclose(through(effect, empty, place, mode="expected"), 0.02 * 0.1 * 500.0)
-    waiting = TransientHits(count_per_mpx=2e3, charge_e=500.0)
+    waiting = TransientHits(rate_per_mpx_s=100.0, wait_s=20.0, charge_e=500.0)
     for time_s in (0.001, 0.1):
         there = through(waiting, empty, place, mode="expected", exposure=Exposure(time_s=time_s))
-        np.testing.assert_allclose(there, 0.002 * 500.0)
+        np.testing.assert_allclose(there, 1e-4 * (20.0 + time_s) * 500.0)
 
 
 def test_bands_of_a_lamp_follow_exposure_and_rows(place):

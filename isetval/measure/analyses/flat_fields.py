@@ -40,10 +40,14 @@ QUANTITIES = {
     "gradient_column_dn": ("gradient", "DN"),
 }
 GIVES = ("mean", "temporal_variance", "row_noise_variance", "fixed_pixel_variance", "fixed_row_variance", "fixed_column_variance")
-COUNTS = {"outlier_fraction": ("outliers", 0.85), "noisy_pixel_fraction": ("noisy_pixels", 0.5)}
+COUNTS = {
+    "outlier_fraction": ("outliers", 0.85),
+    "noisy_pixel_fraction": ("noisy_pixels", 0.5),
+    "struck_pixel_fraction": ("struck_pixels", 0.0),
+}
 """Counts of pixels, and the share of their variance that all counts of a window have in common: a hot
 pixel that stands out at 0.5 s does so at 2 s too (nested Poisson counts: correlation sqrt(n1 / n2)) and is
-noisy as well; noisy pixels are partly chance."""
+noisy as well; noisy pixels are partly chance; pixels that a particle struck are others in each frame."""
 
 
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
@@ -202,7 +206,7 @@ def _mean(parts: Sequence[Quantity]) -> Quantity:
 
 
 def _counts(shot: Shot, conditions: dict[str, Any], plane: str, statistics: PlaneStatistics) -> list[tuple[Metric, float]]:
-    """Numbers of outlying and of noisy pixels with the shared part of sigma.
+    """Numbers of outlying, of noisy and of struck pixels with the shared part of sigma.
 
     Given as ``2 sqrt(n + 3/8)``: near-Gaussian with a total sigma of 1 (Anscombe).
     """

@@ -15,7 +15,7 @@ from isetval.core.metric import Block, Metric
 from isetval.core.sensor import Roi
 from isetval.measure.conditions import metric, shot_conditions
 from isetval.measure.noise.patch_noise import Patch, PatchMoments, patch_moments, uniform_patches
-from isetval.measure.noise.statistics import highest_normal_variance
+from isetval.measure.noise.unsteady_pixels import highest_normal_variance
 
 Float = NDArray[np.float64]
 ROLES = ("chart", "scene")

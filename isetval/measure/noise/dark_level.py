@@ -16,7 +16,8 @@ from isetval.measure.noise.fixed_pattern import FixedPattern, decompose, robust_
 from isetval.measure.noise.line_moments import LineMoments
 from isetval.measure.noise.moments import Moments, central, frame_moments
 from isetval.measure.noise.quantization import QuantizedNoise, fit_quantized, quantization_variance
-from isetval.measure.noise.statistics import noisy_limit, row_and_frame_scatter
+from isetval.measure.noise.statistics import row_and_frame_scatter
+from isetval.measure.noise.unsteady_pixels import noisy_pixels
 
 EXACT_BELOW_DN = 0.75  # above, var - 1/12 errs by less than 1e-4 of itself at any black fraction: 4 exp(-2 pi^2 .75^2)
 UNRELIABLE_BELOW_DN = 0.25  # guide on sensors, section 4: at .17 DN the fit errs by up to 32 %, at .34 DN by .2 %
@@ -148,9 +149,9 @@ def _clean_moments(
     hot = int(np.sum(defects & (moments.average > fixed.surface)))
     noisy = 0
     if len(views) > 1:
-        restless = moments.pixel_variance > noisy_limit(moments)
-        noisy = int(restless.sum())
-        defects |= restless
+        restless = noisy_pixels(moments)
+        noisy = 0 if restless is None else int(restless.sum())
+        defects |= False if restless is None else restless
     if 0 < defects.sum() < MAX_DEFECT_SHARE * defects.size:
         moments = frame_moments(views, tag, bad=defects)
         fixed = decompose(moments, _degree(moments), relative=False)

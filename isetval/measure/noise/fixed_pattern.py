@@ -75,7 +75,14 @@ def robust_sd(values: NDArray[Any], limit: int = 20000) -> float:
     return float(1.4826 * np.median(np.abs(flat - np.median(flat))))
 
 
-def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Quantity = NO_ROW_NOISE) -> FixedPattern:
+def decompose(
+    moments: Moments,
+    degree: int,
+    *,
+    relative: bool,
+    row_temporal: Quantity = NO_ROW_NOISE,
+    left_out: NDArray[np.bool_] | None = None,
+) -> FixedPattern:
     """Split the fixed pattern of the mean of some frames.
 
     Parameters
@@ -89,6 +96,8 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Qu
     row_temporal : Quantity
         Temporal variance of row means beyond pixel noise, DN^2; its residue is removed from the row part, whose sigma
         contains that of the residue.
+    left_out : bool array (rows, cols), optional
+        Pixels that no variance is taken of; those of them that stand out count as outliers all the same.
     """
     average = moments.average
     flat = _flatten(average, moments.pixel_variance, degree, relative)
@@ -97,13 +106,15 @@ def decompose(moments: Moments, degree: int, *, relative: bool, row_temporal: Qu
         limit = moments.outlier_limit(robust_sd(flat.residual))
     bad = np.abs(flat.residual) > limit if flat.highest > limit else np.zeros((1, 1), bool)
     outliers = int(bad.sum())
-    masked = 0 < outliers < MAX_OUTLIER_SHARE * average.size
+    bad = bad if left_out is None else bad | left_out
+    count = int(bad.sum())
+    masked = 0 < count < MAX_OUTLIER_SHARE * average.size
     if masked:
         good_variance = np.where(bad, 0.0, moments.pixel_variance).astype(average.dtype, copy=False)
         flat = _flatten(np.where(bad, flat.surface, average), good_variance, degree, relative)
         flat.residual[bad] = 0.0
     residual, surface = flat.residual, flat.surface
-    valid = residual.size - outliers * masked
+    valid = residual.size - count * masked
     residue = flat.variance_sum / valid / moments.frames
     parts = _parts(residual, degree, valid / residual.size)
     quantities, correlation = _assemble(

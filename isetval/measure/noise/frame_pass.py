@@ -22,6 +22,7 @@ from isetval.measure.noise.moments import BLOCK_PIXELS, Moments, column_profile,
 
 Float = NDArray[np.float64]
 Values = NDArray[Any]
+Mask = NDArray[np.bool_]
 Phase = tuple[int, int]
 PASS_VALUES = 1 << 18  # of all frames in a block: 1 MB of float32 stays in the second-level cache
 EXACT_SUM = 1 << 24  # whole numbers that float32 holds: sums of codes up to here are exact in any order
@@ -53,7 +54,9 @@ class _Plane:
         return slice(first, first + len(range(self.phase[0], part.stop - part.start, step)))
 
 
-def frame_pass(captures: Sequence[Capture], roi: RoiLike | None = None, *, dtype: Any = None) -> FramePass:
+def frame_pass(
+    captures: Sequence[Capture], roi: RoiLike | None = None, *, dtype: Any = None, bad: Mapping[str, Mask] | None = None
+) -> FramePass:
     """Moments of each plane, DN above the captures' black level, and covariances of neighbours.
 
     Parameters
@@ -63,6 +66,8 @@ def frame_pass(captures: Sequence[Capture], roi: RoiLike | None = None, *, dtype
     roi : (row0, row1, col0, col1), optional
     dtype : numpy dtype, optional
         float64 for planes of up to 131072 pixels, else float32.
+    bad : mapping, optional
+        Pixels (rows, cols) to leave out, by plane: they take their row's mean, so that they have no noise.
 
     Notes
     -----
@@ -81,7 +86,8 @@ def frame_pass(captures: Sequence[Capture], roi: RoiLike | None = None, *, dtype
     for name in names:
         row, col = plane_view(captures[0], name, roi)[1]
         planes[name] = _plane(views[name], (row - row0, col - col0), plane_black_dn(captures[0], name), kind)
-    products = _accumulate(frames, list(planes.values()), step, kind)
+    left_out = _on_mosaic(bad, planes, frames[0].shape, step) if bad else None
+    products = _accumulate(frames, list(planes.values()), step, kind, left_out)
     moments = {name: _moments(plane, len(frames)) for name, plane in planes.items()}
     owner = {plane.phase: name for name, plane in planes.items()}
     return FramePass(moments, _covariances(products, owner, moments, frames[0].shape))
@@ -97,7 +103,18 @@ def _plane(views: Sequence[Values], phase: Phase, black_dn: float, kind: np.dtyp
     )
 
 
-def _accumulate(frames: Sequence[Values], planes: Sequence[_Plane], step: int, kind: np.dtype[Any]) -> dict[str, Float]:
+def _on_mosaic(bad: Mapping[str, Mask], planes: Mapping[str, _Plane], shape: tuple[int, ...], step: int) -> Mask:
+    """Pixels of planes on the mosaic."""
+    out = np.zeros(shape, bool)
+    for name, own in bad.items():
+        row, col = planes[name].phase
+        out[row::step, col::step] = own
+    return out
+
+
+def _accumulate(
+    frames: Sequence[Values], planes: Sequence[_Plane], step: int, kind: np.dtype[Any], bad: Mask | None = None
+) -> dict[str, Float]:
     """Fill the planes' maps; sums over frames and rows of products of neighbours, by lag: (step, cols)."""
     count, (rows, cols) = len(frames), frames[0].shape
     size = min(rows, max(step, PASS_VALUES // (count * cols) // step * step))
@@ -113,7 +130,7 @@ def _accumulate(frames: Sequence[Values], planes: Sequence[_Plane], step: int, k
         means = np.empty((count, high, step))
         for f, frame in enumerate(frames):
             block[f] = frame[part]
-            means[f] = _row_means(block[f], frame, part, step)
+            means[f] = _row_means(block[f], frame, part, step) if bad is None else _good_means(block[f], frame, bad, part, step)
         average = mean_of_frames(block)
         block -= average
         _without_drift(block, means, profiles, step)
@@ -140,6 +157,19 @@ def _row_means(block: Values, frame: Values, part: slice, step: int) -> Float:
         for col in range(step):
             sums[:, col] += own @ masks[col, : own.shape[1]]
     return np.asarray(sums / [len(range(col, cols, step)) for col in range(step)])
+
+
+def _good_means(block: Values, frame: Values, bad: Mask, part: slice, step: int) -> Float:
+    """The same of good pixels; bad ones of the block are overwritten with them."""
+    out = bad[part]
+    block[out] = 0
+    means = _row_means(block, frame, part, step)
+    for col in range(step):
+        own = out[:, col::step]
+        means[:, col] *= own.shape[1] / np.maximum(own.shape[1] - own.sum(axis=1), 1)
+    rows, cols = np.nonzero(out)
+    block[out] = means[rows, cols % step]
+    return means
 
 
 def _without_drift(block: Values, means: Float, profiles: Values, step: int) -> None:

@@ -20,7 +20,8 @@ from isetval.measure.noise.linearity import Response
 from isetval.measure.noise.moments import Moments, central, frame_moments
 from isetval.measure.noise.quantization import fit_quantized, unrounded_variance
 from isetval.measure.noise.setups import Setups
-from isetval.measure.noise.statistics import line_scatter, noisy_limit
+from isetval.measure.noise.statistics import line_scatter
+from isetval.measure.noise.unsteady_pixels import noisy_pixels
 
 MAX_DEFECT_SHARE = 0.02  # more are no defects but structure, and nothing is left out
 SMALL_SPREAD_DN = 0.4  # light that spreads by less leaves the phase of rounding to the level; by more, all phases occur alike
@@ -175,7 +176,9 @@ def _defects(moments: Moments, known: NDArray[np.bool_] | None) -> NDArray[np.bo
     """Pixels that stand out of the smooth field or are noisy, joined with those known from the dark."""
     rest = moments.average - fit_surface(moments.average, surface_degree(moments.shape))
     bad = np.asarray(np.abs(rest) > moments.outlier_limit(robust_sd(rest)))
-    bad |= moments.pixel_variance > noisy_limit(moments)
+    noisy = noisy_pixels(moments)
+    if noisy is not None:
+        bad |= noisy
     if known is not None and known.shape == bad.shape:
         bad |= known
     return bad if 0 < bad.sum() < MAX_DEFECT_SHARE * bad.size else None

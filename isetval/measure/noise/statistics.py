@@ -22,6 +22,15 @@ from isetval.measure.noise.frame_pass import FramePass, frame_pass
 from isetval.measure.noise.moments import Moments, frame_moments
 from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import check_frames, check_region
+from isetval.measure.noise.unsteady_pixels import (
+    LEAST_FRAMES,
+    Mask,
+    Unsteady,
+    are_few,
+    noisy_pixels,
+    unsteady_pixels,
+    without_strikes,
+)
 
 Float = NDArray[np.float64]
 NAN = float("nan")
@@ -97,12 +106,12 @@ def _statistics(
     several = len(captures) > 1
     found = frame_pass(captures, roi) if several else _of_one_frame(captures[0], roi)
     of_codes: Mapping[str, Mapping[str, Quantity]] = code_statistics(captures, roi) if codes else {}
-    out: dict[str, PlaneStatistics] = {}
-    for plane, moments in found.planes.items():
-        clean = _without_noisy(captures, plane, roi, moments)
-        out[plane] = _plane_statistics(plane, (moments, clean), of_codes.get(plane, {}), degree, relative=relative)
+    planes, covariances = _without_unsteady(captures, roi, found)
+    out: dict[str, PlaneStatistics] = {
+        plane: _plane_statistics(plane, own, of_codes.get(plane, {}), degree, relative=relative) for plane, own in planes.items()
+    }
     if several:
-        out["mosaic"] = _mosaic_statistics(dict(found.covariances), len(captures), check_roi(captures[0], roi))
+        out["mosaic"] = _mosaic_statistics(dict(covariances), len(captures), check_roi(captures[0], roi))
     return out
 
 
@@ -111,29 +120,47 @@ def _of_one_frame(capture: Capture, roi: RoiLike | None) -> FramePass:
     return FramePass({plane: frame_moments([view], plane_black_dn(capture, plane)) for plane, view in views.items()}, {})
 
 
-def _without_noisy(captures: Sequence[Capture], plane: str, roi: RoiLike | None, moments: Moments) -> Moments:
-    """The same moments with noisy pixels left out, so that they do not spoil their row's mean."""
-    if moments.frames < 2:
-        return moments
-    bad = noisy_pixels(moments)
-    if bad is None or bad.sum() >= 0.05 * bad.size:
-        return moments
-    views = [plane_view(capture, plane, roi)[0] for capture in captures]
-    return frame_moments(views, plane_black_dn(captures[0], plane), bad=bad)
+@dataclass(frozen=True, eq=False)
+class _Plane:
+    """``moments`` of a plane as they are, ``clean`` without its ``unsteady`` pixels, ``lasting`` with those that stand out."""
+
+    moments: Moments
+    clean: Moments
+    lasting: Moments
+    unsteady: Unsteady | None = None
 
 
-def _plane_statistics(
-    plane: str, both: tuple[Moments, Moments], codes: Mapping[str, Quantity], degree: int, *, relative: bool
-) -> PlaneStatistics:
-    moments, clean = both
+def _without_unsteady(
+    captures: Sequence[Capture], roi: RoiLike | None, found: FramePass
+) -> tuple[dict[str, _Plane], Mapping[str, Quantity]]:
+    """Planes and neighbour covariances of a pass, which is made again where pixels are unsteady: they spoil their rows."""
+    out = {plane: _Plane(moments, moments, moments) for plane, moments in found.planes.items()}
+    told = {plane: noisy_pixels(own.moments) for plane, own in out.items() if own.moments.frames > 1}
+    bad = {plane: pixels for plane, pixels in told.items() if pixels is not None}
+    left_out = {plane: pixels for plane, pixels in bad.items() if are_few(pixels)}
+    again = frame_pass(captures, roi, bad=left_out) if left_out else found
+    for plane, pixels in bad.items():
+        moments, clean = found.planes[plane], again.planes[plane]
+        views = [plane_view(capture, plane, roi)[0] for capture in captures]
+        unsteady = unsteady_pixels(views, clean, pixels, moments.bulk_variance)
+        passing = (unsteady.struck if len(captures) >= LEAST_FRAMES else pixels) & are_few(pixels)
+        lasting = without_strikes(views, moments, clean, passing, plane_black_dn(captures[0], plane))
+        out[plane] = _Plane(moments, clean, lasting, unsteady)
+    return out, again.covariances
+
+
+def _plane_statistics(plane: str, own: _Plane, codes: Mapping[str, Quantity], degree: int, *, relative: bool) -> PlaneStatistics:
+    moments, unsteady = own.clean, own.unsteady
     rows, cols = moments.shape
     pixels, frames = rows * cols, moments.frames
-    temporal = moments.temporal
+    temporal, trimmed = own.moments.temporal, _trimmed_temporal(own)
     row_temporal, frame_scatter = row_and_frame_scatter(moments)
-    noise = temporal.value if frames > 1 else _single_frame_variance(moments)
+    noise = trimmed.value if frames > 1 else _single_frame_variance(moments)
     row_noise = max(row_temporal.value, 0.0) if frames > 1 else 0.0
     mean_variance = noise / (pixels * frames) + row_noise / (rows * frames)
-    fixed = decompose(moments, degree, relative=relative, row_temporal=row_temporal if frames > 1 else NO_ROW_NOISE)
+    row_noise_left = row_temporal if frames > 1 else NO_ROW_NOISE
+    noisy = unsteady.noisy if unsteady is not None and are_few(unsteady.either) else None
+    fixed = decompose(own.lasting, degree, relative=relative, row_temporal=row_noise_left, left_out=noisy)
     # outlying pixels (hot, dead) are counted on their own and must not lift the mean
     level = float(fixed.surface.mean(dtype=np.float64)) if fixed.outliers else moments.mean
     mean = Quantity(level, math.sqrt(mean_variance), "DN", _mean_scatter(fixed, (rows, cols)))
@@ -153,8 +180,9 @@ def _plane_statistics(
         "gradient_row_dn": gradient_row,
         "gradient_column_dn": gradient_column,
         "outlier_fraction": Quantity(fixed.outliers / pixels, math.sqrt(fixed.outliers + 1) / pixels),
-        "noisy_pixel_fraction": noisy_fraction(moments),
-        "trimmed_temporal_variance_dn2": trimmed_temporal(moments, clean),
+        "noisy_pixel_fraction": _counted(unsteady and unsteady.noisy, pixels) if frames > 1 else Quantity(NAN, NAN),
+        "struck_pixel_fraction": _counted(unsteady and unsteady.struck, pixels) if frames >= LEAST_FRAMES else Quantity(NAN, NAN),
+        "trimmed_temporal_variance_dn2": trimmed,
         **codes,
     }
     names = list(quantities)
@@ -260,53 +288,16 @@ def frame_drift(means: Sequence[float] | Float, sigma: float) -> Quantity:
     return Quantity(rise, max(sigma, scatter) / math.sqrt(power), "DN")
 
 
-def noisy_fraction(moments: Moments) -> Quantity:
-    """Share of pixels whose temporal variance is far above the plane's (random telegraph noise, blinking)."""
-    if moments.frames < 2:
-        return Quantity(NAN, NAN)
-    noisy = noisy_pixels(moments)
-    count, size = 0 if noisy is None else int(noisy.sum()), moments.pixel_variance.size
+def _counted(pixels: Mask | None, size: int) -> Quantity:
+    count = 0 if pixels is None else int(pixels.sum())
     return Quantity(count / size, math.sqrt(count + 1) / size)
 
 
-def noisy_pixels(moments: Moments) -> NDArray[np.bool_] | None:
-    """Where the temporal variance is far above the plane's; None where it is so nowhere.
-
-    A pixel with a deviation of d in a frame moves its row's mean there, and with it what is left of the others by d/(cols - 1)
-    at most: a strong particle would make noisy pixels of its whole row.
-    """
-    limit = noisy_limit(moments)
-    if moments.highest_variance <= limit:
-        return None
-    variance = moments.pixel_variance
-    strongest = variance.max(axis=1, keepdims=True)
-    drawn_along = (math.sqrt(limit) + np.sqrt(strongest) / max(variance.shape[1] - 1, 1)) ** 2
-    return np.asarray((variance > limit) & ((variance > drawn_along) | (variance == strongest)))
-
-
-def noisy_limit(moments: Moments) -> float:
-    """Temporal variance that a pixel of a normal plane passes once in about 1e8."""
-    return highest_normal_variance(moments.bulk_variance, moments.frames - 1)
-
-
-def highest_normal_variance(bulk_dn2: float, dof: int) -> float:
-    """Variance of ``dof`` degrees of freedom that normal noise of a variance ``bulk_dn2`` passes once in about 1e8, DN^2.
-
-    Wilson and Hilferty: chi2 / dof ~ (1 - 2/(9 dof) + z sqrt(2/(9 dof)))^3, with z = 5.6; a fifth more for noise that is
-    not quite the same everywhere.
-    """
-    factor = (1 - 2 / (9 * dof) + 5.6 * math.sqrt(2 / (9 * dof))) ** 3
-    return 1.2 * factor * max(bulk_dn2, 1 / 12)
-
-
-def trimmed_temporal(moments: Moments, clean: Moments) -> Quantity:
-    """Temporal variance without the noisy pixels, DN^2 (the cut takes less than 1e-6 of normal noise)."""
-    if moments.frames < 2:
-        return Quantity(NAN, NAN, "DN^2")
-    noisy = noisy_pixels(moments)
-    if noisy is None and clean is moments:
-        return moments.temporal
-    pixels = clean.pixel_variance if noisy is None else clean.pixel_variance[~noisy]
+def _trimmed_temporal(own: _Plane) -> Quantity:
+    """Temporal variance without the unsteady pixels, DN^2 (the cut takes less than 1e-6 of normal noise)."""
+    if own.unsteady is None:
+        return own.moments.temporal
+    pixels = own.clean.pixel_variance[~own.unsteady.either]
     spread = float(np.var(pixels, dtype=np.float64))
     return Quantity(float(pixels.mean(dtype=np.float64)), math.sqrt(spread / pixels.size), "DN^2")
 
