@@ -16,7 +16,7 @@ METRIC_VERSIONS = {
     "dark": 6,
     "find_edges": 3,
     "flat_fields": 6,
-    "noise_by_level": 2,
+    "noise_by_level": 3,
     "patches": 2,
     "photon_transfer": 8,
     "relative_illumination": 2,

@@ -228,7 +228,8 @@ def dark_sheet(darks: Sequence[Capture], name: str) -> Sheet:
         own = [getattr(d, key) for d in result.values()]
         if any(np.isfinite(q.value) for q in own):
             table.append((_spoken(key), *map(_quantity_words, own)))
-    table.append(("hot pixels, noisy pixels", *(f"{d.hot_pixels}, {d.noisy_pixels}" for d in result.values())))
+    counts = (f"{d.hot_pixels}, {d.noisy_pixels}, {d.struck_pixels}" for d in result.values())
+    table.append(("hot, noisy, struck pixels", *counts))
     remarks = _flag_words({plane: d.flags for plane, d in result.items()})
     curves = {
         plane: [{"time_s": t, "mean_dn": v.black_dn.value, "read_variance_dn2": v.read_variance.value} for t, v in d.levels]

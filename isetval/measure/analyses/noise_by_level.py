@@ -26,6 +26,7 @@ BINS = 8  # levels of the paper's figure; a hundred patches each on a small char
 CLIPPED_SD = 6.0  # what is this far below white does not clip by chance in a simulation either
 EVEN = 3.0  # spatial over temporal noise: shading and fixed pattern pass, edges that a shaking camera turns into noise do not
 AGREE = 0.95  # of the patches: what noise lifts over the limit of evenness is a few percent
+MOST_STRUCK = 0.25  # of a bin's patches, well below the half that their median bears: one of ten is more than a twentieth
 LEAST_SIGMA_DN = 1e-6  # of noise-free simulations
 Levels = dict[str, list[list[int]]]
 
@@ -44,7 +45,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     Notes
     -----
     ``uniform_patch_noise`` is the root of the mean temporal variance of a bin's patches, in DN; patches beyond what normal noise
-    gives once in 1e8 are left out where they are fewer than a twentieth.  Which patches make a bin is
+    gives once in 1e8 are left out where they are a quarter at most.  Which patches make a bin is
     a choice: those that are unclipped and even, in up to eight bins of equally many by rising mean, so that simulations use
     the very same places.
 
@@ -152,4 +153,4 @@ def _without_strikes(variance: Float, dof: int) -> Float:
     """
     bulk = float(np.median(variance[-max(1, len(variance) // 4) :]))
     normal = variance <= highest_normal_variance(bulk, dof)
-    return variance[normal] if np.mean(normal) >= AGREE else variance
+    return variance[normal] if np.mean(normal) >= 1 - MOST_STRUCK else variance

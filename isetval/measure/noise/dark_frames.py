@@ -49,8 +49,9 @@ class PlaneDark:
         Slopes of mean and of temporal variance over exposure time; their ratio is K.
     dark_current_nonuniformity_dn_per_s : Quantity
         Fixed pixel-to-pixel pattern that grows with exposure time: root of the slope of its variance over the square of time.
-    hot_pixels, noisy_pixels : int
-        Pixels above the field at the longest time; pixels of excess temporal noise (telegraph noise).
+    hot_pixels, noisy_pixels, struck_pixels : int
+        Pixels above the field at the longest time; of excess temporal noise in several frames (telegraph noise); brighter in a
+        single frame (particles, told from four frames on).
     drift_dn : Quantity
         Standard deviation of frame means beyond noise.
     frame_means_dn : array (frames,)
@@ -73,6 +74,7 @@ class PlaneDark:
     dark_current_nonuniformity_dn_per_s: Quantity
     hot_pixels: int
     noisy_pixels: int
+    struck_pixels: int
     drift_dn: Quantity
     frame_means_dn: Float
     levels: tuple[tuple[float | None, DarkLevel], ...]
@@ -204,6 +206,7 @@ def _plane_dark(plane: str, levels: Sequence[tuple[float | None, DarkLevel]], fr
         dark_current_nonuniformity_dn_per_s=_pattern_slope(levels),
         hot_pixels=longest.hot,
         noisy_pixels=longest.noisy,
+        struck_pixels=longest.struck,
         drift_dn=root(first.frame_scatter, "DN"),
         frame_means_dn=frame_means_dn,
         levels=tuple(levels),

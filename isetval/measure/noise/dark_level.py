@@ -17,7 +17,7 @@ from isetval.measure.noise.line_moments import LineMoments
 from isetval.measure.noise.moments import Moments, central, frame_moments
 from isetval.measure.noise.quantization import QuantizedNoise, fit_quantized, quantization_variance
 from isetval.measure.noise.statistics import row_and_frame_scatter
-from isetval.measure.noise.unsteady_pixels import noisy_pixels
+from isetval.measure.noise.unsteady_pixels import are_few, noisy_pixels, unsteady_pixels, without_strikes
 
 EXACT_BELOW_DN = 0.75  # above, var - 1/12 errs by less than 1e-4 of itself at any black fraction: 4 exp(-2 pi^2 .75^2)
 UNRELIABLE_BELOW_DN = 0.25  # guide on sensors, section 4: at .17 DN the fit errs by up to 32 %, at .34 DN by .2 %
@@ -59,6 +59,7 @@ class DarkLevel:
     clipped_low: float
     hot: int
     noisy: int
+    struck: int
     flags: tuple[str, ...]
 
     def without_maps(self) -> DarkLevel:
@@ -89,7 +90,7 @@ def dark_level(
     whole = [plane_view(c, plane, roi)[0] for c in captures]
     views = whole if lines is None else [central(view) for view in whole]
     tag = plane_black_dn(captures[0], plane)
-    moments, defects, fixed, (hot, noisy) = _clean_moments(views, tag)
+    moments, defects, fixed, counts = _clean_moments(views, tag)
     row, frame = row_and_frame_scatter(moments)
     if len(views) > 1 and row.value > 0:
         fixed = decompose(moments, _degree(moments), relative=False, row_temporal=row)
@@ -115,9 +116,7 @@ def dark_level(
         flags.append(TAG_DIFFERS)
     if len(views) > 1 and frame.value > max(5 * _null_sigmas(moments, plain.value)[1], 0.01 * max(read.value, 1 / 12)):
         flags.append("dark_drift")
-    return DarkLevel(
-        black, read, total, row, frame, dsnu, fixed, moments.frames, exact, defects, clipped, hot, noisy, tuple(flags)
-    )
+    return DarkLevel(black, read, total, row, frame, dsnu, fixed, moments.frames, exact, defects, clipped, *counts, tuple(flags))
 
 
 def differs_from_tag(black: Quantity, tag_dn: float) -> bool:
@@ -141,23 +140,32 @@ def _degree(moments: Moments) -> int:
 
 def _clean_moments(
     views: Sequence[NDArray[np.uint16]], tag: float
-) -> tuple[Moments, NDArray[np.bool_], FixedPattern, tuple[int, int]]:
-    """Moments without the pixels that stand out or are noisy, so that they do not spoil their row's mean."""
+) -> tuple[Moments, NDArray[np.bool_], FixedPattern, tuple[int, int, int]]:
+    """Moments without the pixels that stand out or are noisy, so that they do not spoil their row's mean.
+
+    Besides which pixels these are, the fixed pattern, and the numbers of hot, noisy and struck ones.
+    """
     moments = frame_moments(views, tag)
-    fixed = decompose(moments, _degree(moments), relative=False)
-    defects = _defects(moments, fixed)
-    hot = int(np.sum(defects & (moments.average > fixed.surface)))
-    noisy = 0
-    if len(views) > 1:
-        restless = noisy_pixels(moments)
-        noisy = 0 if restless is None else int(restless.sum())
-        defects |= False if restless is None else restless
+    bad = noisy_pixels(moments) if len(views) > 1 else None
+    lasting, unsteady = moments, None
+    if bad is not None and are_few(bad):
+        clean = frame_moments(views, tag, bad=bad)
+        unsteady = unsteady_pixels(views, clean, bad, moments.bulk_variance)
+        lasting = without_strikes(views, moments, clean, unsteady.struck, tag)
+    fixed = decompose(lasting, _degree(lasting), relative=False)
+    defects = _defects(lasting, fixed)
+    hot = int(np.sum(defects & (lasting.average > fixed.surface)))
+    noisy, struck = (0, 0) if bad is None else (int(bad.sum()), 0)
+    if unsteady is not None:
+        noisy, struck = int(unsteady.noisy.sum()), int(unsteady.struck.sum())
+    if bad is not None:
+        defects |= bad
     if 0 < defects.sum() < MAX_DEFECT_SHARE * defects.size:
         moments = frame_moments(views, tag, bad=defects)
         fixed = decompose(moments, _degree(moments), relative=False)
     else:
         defects = np.zeros_like(defects)
-    return moments, defects, fixed, (hot, noisy)
+    return moments, defects, fixed, (hot, noisy, struck)
 
 
 def moments_without(moments: Moments, bad: NDArray[np.bool_]) -> Quantity:

@@ -180,8 +180,12 @@ def _plane_statistics(plane: str, own: _Plane, codes: Mapping[str, Quantity], de
         "gradient_row_dn": gradient_row,
         "gradient_column_dn": gradient_column,
         "outlier_fraction": Quantity(fixed.outliers / pixels, math.sqrt(fixed.outliers + 1) / pixels),
-        "noisy_pixel_fraction": _counted(unsteady and unsteady.noisy, pixels) if frames > 1 else Quantity(NAN, NAN),
-        "struck_pixel_fraction": _counted(unsteady and unsteady.struck, pixels) if frames >= LEAST_FRAMES else Quantity(NAN, NAN),
+        "noisy_pixel_fraction": _counted(None if unsteady is None else unsteady.noisy, pixels)
+        if frames > 1
+        else Quantity(NAN, NAN),
+        "struck_pixel_fraction": _counted(None if unsteady is None else unsteady.struck, pixels)
+        if frames >= LEAST_FRAMES
+        else Quantity(NAN, NAN),
         "trimmed_temporal_variance_dn2": trimmed,
         **codes,
     }

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from noise_camera import NoiseCamera
+from noise_camera import GAIN, NoiseCamera
 
 from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.scene import ChartTarget
+from isetval.measure import dark
 from isetval.measure.analyses.noise_by_level import analyze
 from isetval.measure.noise.moments import frame_moments
 from isetval.measure.noise.statistics import dark_statistics, flat_statistics
@@ -104,3 +105,15 @@ def test_of_two_frames_a_hit_is_no_outlier_and_a_hot_pixel_is():
     assert round(found["outlier_fraction"].value * 128**2) == 1
     assert round(found["noisy_pixel_fraction"].value * 128**2) == 1
     assert np.isnan(found["struck_pixel_fraction"].value)
+
+
+def test_the_sheet_of_darks_does_not_take_particles_for_hot_pixels():
+    rng = np.random.default_rng(78)
+    mosaics = [frame.mosaic.copy() for frame in NoiseCamera(rng, (128, 128), cfa="MONO", read_e=12.0).shoot(0.0, 8)]
+    for k, mosaic in enumerate(mosaics):
+        mosaic[rng.integers(128, size=2), rng.integers(128, size=2)] += np.uint16(700)
+        mosaic[10:13, 90] += np.uint16(200)
+        mosaic[60, 61] += np.uint16(300 * (k % 2))
+    found = dark([Capture.from_array(m, cfa="MONO") for m in mosaics])["MONO"]
+    assert (found.hot_pixels, found.noisy_pixels, found.struck_pixels) == (4, 1, 16)  # one that switches is bright besides
+    assert abs(found.read_noise_dn.value - 12 * GAIN) < 4 * found.read_noise_dn.sigma
