@@ -24,7 +24,6 @@ from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import check_frames, check_region
 from isetval.measure.noise.unsteady_pixels import (
     LEAST_FRAMES,
-    Mask,
     Unsteady,
     are_few,
     noisy_pixels,
@@ -180,12 +179,8 @@ def _plane_statistics(plane: str, own: _Plane, codes: Mapping[str, Quantity], de
         "gradient_row_dn": gradient_row,
         "gradient_column_dn": gradient_column,
         "outlier_fraction": Quantity(fixed.outliers / pixels, math.sqrt(fixed.outliers + 1) / pixels),
-        "noisy_pixel_fraction": _counted(None if unsteady is None else unsteady.noisy, pixels)
-        if frames > 1
-        else Quantity(NAN, NAN),
-        "struck_pixel_fraction": _counted(None if unsteady is None else unsteady.struck, pixels)
-        if frames >= LEAST_FRAMES
-        else Quantity(NAN, NAN),
+        "noisy_pixel_fraction": _share(int(unsteady.noisy.sum()) if unsteady else 0, pixels, told=frames > 1),
+        "struck_pixel_fraction": _share(int(unsteady.struck.sum()) if unsteady else 0, pixels, told=frames >= LEAST_FRAMES),
         "trimmed_temporal_variance_dn2": trimmed,
         **codes,
     }
@@ -292,9 +287,8 @@ def frame_drift(means: Sequence[float] | Float, sigma: float) -> Quantity:
     return Quantity(rise, max(sigma, scatter) / math.sqrt(power), "DN")
 
 
-def _counted(pixels: Mask | None, size: int) -> Quantity:
-    count = 0 if pixels is None else int(pixels.sum())
-    return Quantity(count / size, math.sqrt(count + 1) / size)
+def _share(count: int, size: int, *, told: bool) -> Quantity:
+    return Quantity(count / size, math.sqrt(count + 1) / size) if told else Quantity(NAN, NAN)
 
 
 def _trimmed_temporal(own: _Plane) -> Quantity:
