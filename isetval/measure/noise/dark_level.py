@@ -91,11 +91,11 @@ def dark_level(
     views = whole if lines is None else [central(view) for view in whole]
     tag = plane_black_dn(captures[0], plane)
     moments, defects, fixed, counts = _clean_moments(views, tag)
-    row, frame = row_and_frame_scatter(moments)
+    plain = moments_without(moments, defects)
+    row, frame = row_and_frame_scatter(moments, plain, defects)
     if len(views) > 1 and row.value > 0:
         fixed = decompose(moments, _degree(moments), relative=False, row_temporal=row)
     clipped = float(np.mean([np.mean(view == 0) for view in views]))
-    plain = moments_without(moments, defects)
     flags = []
     exact = None
     if len(views) > 1 and (plain.value < EXACT_BELOW_DN**2 or clipped > CLIPPED_SHARE):

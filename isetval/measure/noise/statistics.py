@@ -24,6 +24,7 @@ from isetval.measure.noise.quantization import code_statistics
 from isetval.measure.noise.setups import check_frames, check_region
 from isetval.measure.noise.unsteady_pixels import (
     LEAST_FRAMES,
+    Mask,
     Unsteady,
     are_few,
     noisy_pixels,
@@ -153,12 +154,14 @@ def _plane_statistics(plane: str, own: _Plane, codes: Mapping[str, Quantity], de
     rows, cols = moments.shape
     pixels, frames = rows * cols, moments.frames
     temporal, trimmed = own.moments.temporal, _trimmed_temporal(own)
-    row_temporal, frame_scatter = row_and_frame_scatter(moments)
+    few = unsteady is not None and are_few(unsteady.either)
+    left_out = unsteady.either if unsteady is not None and few else None
+    row_temporal, frame_scatter = row_and_frame_scatter(moments, trimmed if few else moments.temporal, left_out)
     noise = trimmed.value if frames > 1 else _single_frame_variance(moments)
     row_noise = max(row_temporal.value, 0.0) if frames > 1 else 0.0
     mean_variance = noise / (pixels * frames) + row_noise / (rows * frames)
     row_noise_left = row_temporal if frames > 1 else NO_ROW_NOISE
-    noisy = unsteady.noisy if unsteady is not None and are_few(unsteady.either) else None
+    noisy = unsteady.noisy if unsteady is not None and few else None
     fixed = decompose(own.lasting, degree, relative=relative, row_temporal=row_noise_left, left_out=noisy)
     # outlying pixels (hot, dead) are counted on their own and must not lift the mean
     level = float(fixed.surface.mean(dtype=np.float64)) if fixed.outliers else moments.mean
@@ -209,13 +212,17 @@ def _single_frame_variance(moments: Moments) -> float:
     return float(np.mean(np.diff(image, axis=1) ** 2)) / 2 if image.shape[1] > 1 else NAN
 
 
-def row_and_frame_scatter(moments: Moments) -> tuple[Quantity, Quantity]:
-    """``line_scatter`` of moments."""
-    temporal = moments.temporal
-    return line_scatter(moments.row_means, temporal.value, moments.shape[1], temporal.sigma)
+def row_and_frame_scatter(moments: Moments, temporal: Quantity, left_out: Mask | None = None) -> tuple[Quantity, Quantity]:
+    """``line_scatter`` of moments taken without some pixels (rows, cols), the others with a ``temporal`` variance in DN^2.
+
+    A row's mean over m pixels holds 1/m of their variance: m in the mean of its inverse over the rows.
+    """
+    rows, cols = moments.shape
+    kept = cols - (np.zeros(rows) if left_out is None else left_out.sum(axis=1))
+    return line_scatter(moments.row_means, temporal.value, 1 / float(np.mean(1 / np.maximum(kept, 1))), temporal.sigma)
 
 
-def line_scatter(means: Float, noise: float, cols: int, noise_sigma: float) -> tuple[Quantity, Quantity]:
+def line_scatter(means: Float, noise: float, cols: float, noise_sigma: float) -> tuple[Quantity, Quantity]:
     """Temporal variance of row means and of frame means beyond pixel noise, DN^2, signed.
 
     Light that changes between frames scales the row profile; it is taken out of the row part.
@@ -226,7 +233,7 @@ def line_scatter(means: Float, noise: float, cols: int, noise_sigma: float) -> t
         Row means, DN above black.
     noise, noise_sigma : float
         Temporal variance of a pixel and its sigma, DN^2.
-    cols : int
+    cols : float
         Pixels in a row.
     """
     frames, rows = means.shape

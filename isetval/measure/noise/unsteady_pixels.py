@@ -18,9 +18,7 @@ from isetval.measure.noise.moments import Moments
 
 Mask = NDArray[np.bool_]
 Values = NDArray[Any]
-LEAST_FRAMES = (
-    4  # to tell a struck pixel: without its strike three values are left, whose scatter says whether it is noisy besides
-)
+LEAST_FRAMES = 4  # to tell a struck pixel: without its strike three values say whether it is noisy besides
 MOST_UNSTEADY = 0.05  # of the pixels: more are no defects but the noise itself, and nothing is left out
 
 
@@ -43,10 +41,10 @@ def are_few(pixels: Mask) -> bool:
 
 
 def unsteady_pixels(views: Sequence[Values], clean: Moments, bad: Mask, bulk_dn2: float) -> Unsteady:
-    """Noisy and struck ones of the pixels ``bad`` (rows, cols) of a plane's frames.
+    """Noisy and struck ones of the pixels ``bad`` (rows, cols) of a plane's frames (rows, cols) in DN.
 
     Struck is one that is brighter in a single frame and has normal noise in the others; it takes four frames to be told.
-    ``clean`` are moments with the pixels left out, ``bulk_dn2`` is the temporal variance of the others.
+    ``clean`` are moments with the pixels left out, ``bulk_dn2`` is the temporal variance of the others in DN^2.
     """
     struck = np.zeros_like(bad)
     if clean.frames >= LEAST_FRAMES:

@@ -117,3 +117,15 @@ def test_the_sheet_of_darks_does_not_take_particles_for_hot_pixels():
     found = dark([Capture.from_array(m, cfa="MONO") for m in mosaics])["MONO"]
     assert (found.hot_pixels, found.noisy_pixels, found.struck_pixels) == (4, 1, 16)  # one that switches is bright besides
     assert abs(found.read_noise_dn.value - 12 * GAIN) < 4 * found.read_noise_dn.sigma
+
+
+def test_row_noise_is_that_of_the_rows_where_many_pixels_are_noisy():
+    rng, found = np.random.default_rng(79), []
+    for _ in range(30):
+        frames = rng.normal(640, 6, (8, 128, 128)) + rng.normal(0, 0.3, (8, 128, 1))
+        noisy = rng.random((128, 128)) < 0.04
+        frames[:, noisy] += 300 * rng.integers(0, 2, (8, int(noisy.sum())))
+        captures = [Capture.from_array(np.round(f).astype(np.uint16), cfa="MONO", black_dn=600) for f in frames]
+        found.append(dark_statistics(captures, codes=False)["MONO"]["row_temporal_variance_dn2"])
+    mean, sigma = np.mean([q.value for q in found]), np.mean([q.sigma for q in found]) / np.sqrt(len(found))
+    assert mean == pytest.approx(0.3**2, abs=4 * sigma)
