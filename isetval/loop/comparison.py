@@ -20,9 +20,10 @@ from isetval.loop.error_budget import BudgetRow, error_budget
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import degrees_spent, expected_mean_square
 from isetval.loop.given_side import given_rows
-from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate
+from isetval.loop.prepared import Prepared, prepare
 from isetval.loop.problem import Problem
 from isetval.loop.region_change import region_change
+from isetval.loop.repeats import gate_with, repeat_gate
 from isetval.loop.telling import Progress, Say, Teller
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ from isetval.loop.fit import far_values
 from isetval.loop.investigation import Investigation, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
-from isetval.loop.prepared import Prepared, gate_with, prepare, repeat_gate, split_sessions
+from isetval.loop.prepared import Prepared, prepare, split_sessions
+from isetval.loop.repeats import gate_with, repeat_gate
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.score_test import Score, make_frame, score
 from isetval.loop.search import search

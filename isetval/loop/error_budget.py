@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.loop.fit import Fit
-from isetval.loop.prepared import Prepared, repeat_differences
+from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.region_change import RegionChange
+from isetval.loop.repeats import repeat_differences
 
 Float = NDArray[np.float64]
 

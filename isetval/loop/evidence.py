@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate, Doubt
-from isetval.loop.code_stair import CODES, on_lowest_step
+from isetval.loop.code_stair import on_lowest_step
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import MAX_ITERATIONS, Fit, fit
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
@@ -19,24 +19,13 @@ from isetval.loop.gaussian import hessian, inverse, orthonormal_basis, prior_wei
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import Score
-from isetval.loop.signatures import Signature
+from isetval.loop.steps import CLEAR_OF, are_alike, with_longer_steps
 from isetval.loop.subset_sum import LinearModel, Term, Weighed, at_scales, weigh
 
 Float = NDArray[np.float64]
 CLOSE_LOG_ODDS = 3.0  # odds of 20 to 1: 'strong' begins there (Kass and Raftery 1995, table 1)
-STEP_SHARE = 0.02  # of a prior's width: smallest finite step of an effect's parameter, well above the noise of common numbers
-SPAN = 10.0
-"""Sigmas of a value that its finite step is long at least, or its prior's width: above the noise of rounded common random
-numbers, and well inside the 50 within which signatures are straight (`signatures.WANTED`)."""
-CLEAR_OF = SPAN / 2  # sigmas from its lowest value beyond which a value has a derivative to both sides: half of what noise allows
-SAME_STEP = 0.1  # of a step: what a fit moves it by as its value and sigma move, and no reason for another fit
-FAR_TOO_LONG = 2.0  # times what is ample: a step that the linear model asked for, and that a level may end on
 IMITATED = 10.0  # ratio of a value's sigma to that with all else known; a tenth is left, of which derivatives 3 % off are a third
 LONGER_STEPS = 4  # times that steps are made longer: twentyfold and more each, where sigmas were found too small
-NOISE_SHARE = 0.5
-"""Of a noise's strength: its finite step.  Variances go as its square, of which central differences are exact at any step; short
-ones measure which pixels happen to round to another code (row noise of 2 DN seemed known to .4 % in place of 4)."""
-REACH = 1.5  # widths of a signature's secant that a fit starts away from the null at most: the secant bends beyond
 WORTH = 0.5  # share of the linear gain in ln Z below which a fit has not found what a draw of the specimen promises
 
 Member = Candidate | Doubt
@@ -180,7 +169,7 @@ def fitted_members(
     for turn in range(LONGER_STEPS if iterations else 0):
         longer = with_longer_steps(fitted, members)
         anew = imitators(fitted) if turn < 2 else frozenset()
-        if any(_are_alike(longer, steps) for steps in tried) and not anew:
+        if any(are_alike(longer, steps) for steps in tried) and not anew:
             break
         tried.append(longer)
         for label in anew:
@@ -191,15 +180,6 @@ def fitted_members(
         for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
             fitted = on_lowest_step(problem, fitted, key, code)
     return fitted
-
-
-def _are_alike(some: Sequence[Parameter], others: Sequence[Parameter]) -> bool:
-    """Whether finite steps are the same within `SAME_STEP`.
-
-    A glare about `CLEAR_OF` sigmas off its lowest value has short steps to both sides, by which it may be found nearer, or long
-    ones to one side, by which it may be found farther off: either is good, and each fit would ask for the other's.
-    """
-    return all(abs(a.step - b.step) <= SAME_STEP * abs(b.step) for a, b in zip(some, others, strict=True))
 
 
 def _as_stated(members: Sequence[Member]) -> bool:
@@ -222,30 +202,6 @@ def imitators(fitted: Fit) -> frozenset[str]:
     parts = [np.abs(covariance[:, i]) * length / covariance[i, i] / length[i] for i in imitated]
     large = np.any([part > 1 / IMITATED for part in parts], axis=0) if parts else np.zeros(len(fitted.free), bool)
     return frozenset(f.label for f, own in zip(fitted.free, large, strict=True) if own and f.is_nuisance)
-
-
-def with_longer_steps(fitted: Fit, members: Sequence[Member]) -> tuple[Parameter, ...]:
-    """What was free, with finite steps of effects at least `SPAN` times as long as values are uncertain, or as their priors.
-
-    Rounded common random numbers give a derivative a noise of c sigmas in all rows together over its step h: as if the parameter
-    were measured to h/c.  600 rows that are rounded to a fifth of their error bars have c = 5.  Steps of what is
-    random stay as they are: its metrics go as its square.
-    """
-    steady = {key for m in members if isinstance(m, Doubt) or m.effect.random != "none" for key in m.keys}
-    sigma = np.sqrt(np.diag(fitted.covariance))
-
-    values = dict(zip((f.label for f in fitted.free), map(float, fitted.values), strict=True))
-    least = {key: h for m in members if isinstance(m, Candidate) for key, h in first_steps(m, values).items()}
-
-    def longer(f: Parameter, s: float) -> Parameter:
-        if f.is_nuisance or f.key in steady:
-            return f
-        enough, ample = (_long_enough(f.stepped(least[f.key]), s, values[f.label], k) for k in (1, 2))
-        one_sided = f.step > values[f.label] - f.low and np.isfinite(_longest(f, s, values[f.label]))
-        good = enough <= f.step <= FAR_TOO_LONG * ample and not one_sided
-        return f if good or abs(ample - f.step) <= SAME_STEP * f.step else f.stepped(ample)
-
-    return tuple(longer(f, float(s)) for f, s in zip(fitted.free, sigma, strict=True))
 
 
 def free_parameters(
@@ -284,61 +240,6 @@ def least_chi2(fitted: Fit) -> float:
     rows = np.concatenate([fitted.z, -pulls[priors]])
     basis = orthonormal_basis(matrix)
     return float(rows @ rows - np.sum((basis.T @ rows) ** 2))
-
-
-def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dict[str, float]:
-    """Parameters to start a fit at, within their bounds, from the linear model's (in units of their priors' widths).
-
-    A variance goes as the square of its parameter: what a secant of one step says of half of it is a quarter.
-    """
-    moved = mean * candidate.tau
-    step = np.abs(signature.steps)
-    if candidate.goes_as_square:
-        moved = step * np.sqrt(np.maximum(moved, 0.0) / step)
-    reach = np.maximum(REACH * step, candidate.tau)
-    low, high = ([getattr(p, side) for p in candidate.parameters] for side in ("low", "high"))
-    values = np.clip(candidate.nominal + np.clip(moved, -reach, reach), low, high)
-    return dict(zip(candidate.keys, map(float, values), strict=True))
-
-
-def first_steps(candidate: Candidate, values: Mapping[str, float], sigma: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Finite steps of a candidate's parameters near some values, known to ``sigma`` where that is stated."""
-    here = np.array([values[key] for key in candidate.keys])
-    steps = np.maximum(candidate.effect.step_share * np.abs(here - candidate.nominal), STEP_SHARE * candidate.tau)
-    steps = np.maximum(steps, [CODES * candidate.code_steps.get(key, 0.0) for key in candidate.keys])
-    if _is_noise(candidate):
-        steps = np.maximum(NOISE_SHARE * np.abs(here), steps)
-    known = sigma or {} if candidate.effect.random == "none" else {}
-    free = candidate.free(list(steps))
-    return {f.key: _long_enough(f, known.get(f.key, 0.0), values[f.key]) for f in free}
-
-
-def _long_enough(f: Parameter, sigma: float, value: float, times: float = 1.0) -> float:
-    """Its finite step, `SPAN` sigmas (``times`` more) at least, or as its prior is wide, that goes to both sides of the value."""
-    return max(f.step, min(times * SPAN * sigma, f.prior or 0.0, _longest(f, sigma, value)))
-
-
-def _longest(f: Parameter, sigma: float, value: float) -> float:
-    """The longest step of a parameter that stands clear of its lowest value: half the way there, or `CLEAR_OF` sigmas.
-
-    What goes as its square has exact central differences at any step and wrong ones to one side: a loss of 4.2 % stood there
-    for 5.5, 5 sigmas off, by steps of 6 % that could go up only.
-    """
-    room = value - f.low
-    return max(NOISE_SHARE * room, CLEAR_OF * sigma) if room >= CLEAR_OF * sigma else np.inf
-
-
-def _is_noise(candidate: Candidate) -> bool:
-    """Whether its parameters are strengths of noise, as the square of which metrics go."""
-    return candidate.effect.random != "none" and not candidate.effect.rare and all(p.low == 0.0 for p in candidate.parameters)
-
-
-def with_steps(free: Sequence[Parameter], members: Sequence[Member], values: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Free parameters of a fit, those of ``members`` with the finite steps that suit where they stand now, or longer ones."""
-    candidates = [m for m in members if isinstance(m, Candidate)]
-    steps = {key: step for m in candidates for key, step in first_steps(m, values).items()}
-    noise = {key for m in candidates if _is_noise(m) for key in m.keys}
-    return tuple(f.stepped(max(steps.get(f.label, 0.0), 0.0 if f.label in noise else f.step)) for f in free)
 
 
 def smallest_detectable(score: Score, alpha_sigma: float = 3.67, power_sigma: float = 1.64) -> float | None:

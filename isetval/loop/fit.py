@@ -25,7 +25,7 @@ RADIUS = 4.0  # first trust region in prior sigmas: a laboratory that is right n
 FORETOLD = 3.0  # sigmas by which a row may come out other than a step foretold before the light's derivatives are taken anew
 FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the place of the fit
 NEAR = 2.0  # sigmas of all rows together that a fit may move with derivatives from both sides: a fifth of the ten sigmas over
-# which they are taken (`evidence.SPAN`); those of a free form of twelve parameters cost nine seconds a place
+# which they are taken (`steps.SPAN`); those of a free form of twelve parameters cost nine seconds a place
 HOPE = 2.0  # times what derivatives promise, that a fit may still fall: a choice; where more is to be had steps promise more
 TRUSTED = 0.75  # of a promised fall: derivatives that predicted so much of it are kept (as trust regions grow, More 1978)
 

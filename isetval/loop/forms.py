@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from isetval.core.effect import ParameterInfo
 from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
 from isetval.loop.candidates import Candidate, Held
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, first_steps, linear_model, refit
+from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
 from isetval.loop.investigation import BENDS, Investigation
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.result import FormRow
+from isetval.loop.steps import first_steps
 from isetval.loop.subset_sum import Term, weigh
 from isetval.loop.unknown import patterns_of
 from isetval.loop.unknown_evidence import Unknown, left_by

@@ -10,17 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Candidate, Doubt
-from isetval.loop.evidence import (
-    Hypothesis,
-    Member,
-    first_steps,
-    first_values,
-    fitted_members,
-    hypothesis,
-    linear_model,
-    refit,
-    with_steps,
-)
+from isetval.loop.evidence import Hypothesis, Member, fitted_members, hypothesis, linear_model, refit
 from isetval.loop.fit import Fit, far_values
 from isetval.loop.gaussian import log_volume
 from isetval.loop.posterior import NOTHING, Names, Posterior
@@ -30,6 +20,7 @@ from isetval.loop.problem import Problem
 from isetval.loop.result import CandidateRow, FormRow
 from isetval.loop.score_test import Frame
 from isetval.loop.signatures import Signature
+from isetval.loop.steps import first_steps, first_values, with_steps
 from isetval.loop.subset_sum import MAX_EFFECTS, Term, Weighed, weigh_all
 
 Float = NDArray[np.float64]

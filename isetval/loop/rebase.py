@@ -7,10 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from isetval.loop.candidates import Candidate
-from isetval.loop.evidence import fitted_members, hypothesis, with_steps
+from isetval.loop.evidence import fitted_members, hypothesis
 from isetval.loop.fit import Fit, far_values
 from isetval.loop.investigation import Investigation, draws_of, named_model
 from isetval.loop.prediction import Point
+from isetval.loop.steps import with_steps
 from isetval.loop.weighing import HOLDS
 
 MAX_REBASES = 5  # new bases at a moving strength: a bound on cost

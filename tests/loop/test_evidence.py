@@ -10,8 +10,9 @@ from isetval.core.parameter import Parameter
 from isetval.core.toml import data_folder
 from isetval.loop import evidence
 from isetval.loop.candidates import candidates_for
-from isetval.loop.evidence import imitators, with_longer_steps
+from isetval.loop.evidence import imitators
 from isetval.loop.posterior import Posterior
+from isetval.loop.steps import with_longer_steps
 
 NOTHING, A, B, BOTH = frozenset(), frozenset("a"), frozenset("b"), frozenset("ab")
 LOGS = {NOTHING: 0.0, A: 2.0, B: 1.0, BOTH: -1.0}

@@ -12,7 +12,8 @@ from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.prediction import Point
-from isetval.loop.prepared import prepare, repeat_gate
+from isetval.loop.prepared import prepare
+from isetval.loop.repeats import repeat_gate
 from isetval.measure.edge import sfr, sfr_batch
 
 TRUE = {"focus_um@set-up:e": 2.1, "edge_shift_px@set-up:e": 0.9}

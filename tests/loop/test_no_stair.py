@@ -10,11 +10,12 @@ from isetval.core.sensor import Exposure
 from isetval.effects import catalogue
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.evidence import first_steps, hypothesis, refit
+from isetval.loop.evidence import hypothesis, refit
 from isetval.loop.fit import fit
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 from isetval.loop.signatures import signatures
+from isetval.loop.steps import first_steps
 
 WEIGHT = 0.1
 KEY = "raw_filtering.weight"

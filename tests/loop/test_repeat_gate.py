@@ -15,8 +15,8 @@ from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.prediction import Point
-from isetval.loop.prepared import gate_with, repeat_differences, repeat_gate
 from isetval.loop.problem import Problem
+from isetval.loop.repeats import gate_with, repeat_differences, repeat_gate
 
 CHANNELS, BENDS = ("red", "green", "blue"), np.array([1.0, 0.0, -1.0])
 LEVEL, SIGMA, REPLICAS = 1000.0, 0.3, 16

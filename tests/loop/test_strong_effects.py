@@ -15,7 +15,7 @@ from isetval.effects import catalogue
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import Candidate, candidates_for
-from isetval.loop.evidence import first_values, hypothesis
+from isetval.loop.evidence import hypothesis
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
 from isetval.loop.posterior import NOTHING
@@ -23,6 +23,7 @@ from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame
 from isetval.loop.signatures import signatures
+from isetval.loop.steps import first_values
 
 KEY = "temporal_row_noise.sigma_dn"
 ROWS = 30

@@ -1,0 +1,135 @@
+"""Whether repeated set-ups agree within the error bars, and by how much they differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.core.campaign import Shot
+from isetval.core.metric import MetricTable
+from isetval.loop.derivatives import slopes
+from isetval.loop.fit import Fit
+from isetval.loop.prepared import Prepared
+from isetval.loop.problem import Problem
+
+Float = NDArray[np.float64]
+CONTRAST, NEAR_ZERO = "mtf", 3.0  # sigmas of a contrast within which it may be on either side of zero, once in 700 farther off
+MIN_GATE = 0.05  # what sigma may be off by, however many repeats there are: 2.5 % of it
+
+
+def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit | None = None) -> dict[str, Any]:
+    """Whether repeated set-ups agree within the error bars of ``problem`` at ``fitted`` (default: those of the prepared model).
+
+    z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the
+    set-up scope priors of both; the mean square must be 1 within max(0.05, 3 sd), or below what the replicas show of it: the
+    ten contrasts of an edge hold five numbers, and are weighted as if they held a little more.
+
+    Returns
+    -------
+    dict
+        ``run`` (False without repeats), ``failed``, ``mean_square_z``, ``n``, ``allowed``.
+    """
+    problem = problem or prepared.problem
+    rows, difference, spread = repeat_differences(prepared, problem, fitted)
+    if not rows:
+        return {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None}
+    values, vectors = np.linalg.eigh(spread)
+    use = values > 1e-9 * values.max()
+    z = (vectors.T @ difference)[use] / np.sqrt(values[use])
+    square, n = float(np.mean(z**2)), int(use.sum())
+    from scipy.stats import chi2, norm
+
+    # 3 standard deviations as a probability: chi2 is skew where the repeats are few
+    expected = _expected_square(problem, rows, vectors[:, use], values[use])
+    free = max(n * expected, 1.0)
+    low, high = expected * float(chi2.ppf(norm.sf(3), free)) / free, float(chi2.ppf(norm.cdf(3), n)) / n
+    failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
+    allowed = max(high, 1 + MIN_GATE) - 1
+    return {"run": True, "failed": failed, "mean_square_z": square, "n": n, "allowed": allowed}
+
+
+def gate_with(prepared: Prepared, nominal: Mapping[str, Any], problem: Problem, fitted: Fit) -> dict[str, Any]:
+    """A gate that failed with the nominal camera's error bars (``nominal``), asked with those of another model.
+
+    A strong effect changes what repeats should differ by: behind a smoothing rows and columns scatter otherwise, behind a bent
+    converter two levels of one light are no longer in proportion.  ``nominal_mean_square_z`` keeps what it was.
+    """
+    if not nominal["failed"] or problem is prepared.problem:
+        return dict(nominal)
+    first = nominal.get("nominal_mean_square_z", nominal["mean_square_z"])
+    return repeat_gate(prepared, problem, fitted) | {"nominal_mean_square_z": first}
+
+
+def _expected_square(problem: Problem, rows: Sequence[tuple[int, int]], axes: Float, stated: Float) -> float:
+    """Mean square of z (``axes`` (pairs, n) of variances ``stated``) where captures scatter as the replicas do; 1 at most."""
+    first, second = np.transpose(rows)
+    apart = problem.base.values[:, first] - problem.base.values[:, second]
+    both = np.concatenate([first, second])
+    pick = np.concatenate([axes, -axes])
+    sampled = np.sum(pick * (problem.base.covariance[np.ix_(both, both)] @ pick), axis=0)
+    shown = np.var(apart @ axes, axis=0, ddof=1)
+    return min(1.0, float(np.mean((stated - sampled + shown) / stated)))
+
+
+def repeat_differences(
+    prepared: Prepared, problem: Problem, fitted: Fit | None = None
+) -> tuple[list[tuple[int, int]], Float, Float]:
+    """Rows of repeated set-ups in pairs, their differences (pairs,), and the covariance (pairs, pairs) that these should have."""
+    table = prepared.table
+    every = _paired_rows(table, problem, [(s, s.repeat_of) for s in prepared.campaign.shots if s.repeat_of is not None])
+    rows = [pair for pair in every if not _is_a_length_near_zero(table, pair)]
+    pick = np.zeros((len(rows), len(table.metrics)))
+    for i, (a, b) in enumerate(rows):
+        pick[i, a], pick[i, b] = 1.0, -1.0
+    local = pick[:, problem.keep]
+    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / problem.base.with_simulation(problem.keep)
+    spread = local @ covariance @ local.T + (
+        _set_up_part(problem, fitted or prepared.fit_nuisances(prepared.model), local) if rows else 0.0
+    )
+    return rows, pick @ np.nan_to_num(table.values), spread
+
+
+def _is_a_length_near_zero(table: MetricTable, pair: tuple[int, int]) -> bool:
+    """Whether one of two contrasts stands so near zero that it may be on either side of it.
+
+    An OTF that passes through zero with the frequency has a length that goes down and up: where one of two repeats passes sooner,
+    a row falls with its neighbors in one and rises against them in the other, and no covariance holds for both.
+    """
+    metrics = [table.metrics[i] for i in pair]
+    return all(m.family == CONTRAST for m in metrics) and any(abs(m.value) < NEAR_ZERO * m.sigma for m in metrics)
+
+
+def _paired_rows(table: MetricTable, problem: Problem, pairs: Sequence[tuple[Shot, str | None]]) -> list[tuple[int, int]]:
+    kept = set(problem.keep.tolist())
+    place = {m.key(): i for i, m in enumerate(table.metrics)}
+    rows = []
+    for shot, other in pairs:
+        for i, m in enumerate(table.metrics):
+            if m.shot != shot.name:
+                continue
+            key = m.key()
+            twin = place.get((key[0], key[1], other, *key[3:]))
+            if twin is not None and i in kept and twin in kept:
+                rows.append((i, twin))
+    return rows
+
+
+def _set_up_part(problem: Problem, fitted: Fit, local: Float) -> Float:
+    """Covariance of differences ``local`` (pairs, kept rows) by what every set-up has of its own.
+
+    Differentiated where the nuisances stand: a light's level moves the colors in the proportion that its spectrum gives them.
+    With the proportion of the stated spectrum, 4 % off, two set-ups 7 % apart would differ by 7 sigma more than they do.
+    """
+    free = [f for f in fitted.free if f.is_nuisance and f.scope == "set-up"]
+    if not free:
+        return np.zeros((len(local), len(local)))
+    metrics = problem.predictor.table.metrics
+    paired = {metrics[i].shot for i in problem.keep[np.any(local != 0, axis=0)]}
+    repeated = replace(problem, predictor=problem.predictor.only(paired))
+    raw = np.column_stack(slopes(repeated, fitted.point, free))[problem.keep]
+    columns = local @ raw * np.array([f.prior or 0.0 for f in free])
+    return np.asarray(columns @ columns.T)
