@@ -49,14 +49,20 @@ def codes(gain):
     return np.rint(LEVELS * (1 + gain))
 
 
-def fitted_to(gain, seed):
+def asked(measured):
+    """The problem, and the signature of a gain in it."""
     model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
-    measured = codes(gain) + SIGMA_DN * np.random.default_rng(seed).standard_normal(LEVELS.size)
     base = Base(LEVELS, SIGMA_DN**2 * np.eye(LEVELS.size), np.zeros((16, LEVELS.size)), np.ones(LEVELS.size))
     keep, root = np.arange(LEVELS.size), factor(SIGMA_DN**2 * np.eye(LEVELS.size))
     problem = Problem(Codes(), Point(model), base, measured, keep, root, base.mean, base.covariance)
     wanted = [c for c in candidates_for(model) if c.name == "digital_gain"]
     (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((LEVELS.size, 0)))
+    return model, problem, signature
+
+
+def fitted_to(gain, seed):
+    measured = codes(gain) + SIGMA_DN * np.random.default_rng(seed).standard_normal(LEVELS.size)
+    model, problem, signature = asked(measured)
     fitted = fit(problem, problem.origin, ())
     nothing = hypothesis(problem, (), fitted)
     prepared = SimpleNamespace(model=model)
@@ -86,6 +92,16 @@ def test_the_fit_ends_on_the_lowest_step_with_its_width(gain):
         assert sigma > (high - low) / np.sqrt(12) - code / 16
         assert sigma < (high - low) / np.sqrt(12) + code / 4
         assert abs(value - gain) < 2.5 * sigma
+
+
+def test_the_signature_of_a_stair_is_its_slope_over_several_steps():
+    """Any one step moves a level by whole codes, and is off by up to half a code: 15 % of the three that it moves one by."""
+    _, _, signature = asked(LEVELS)
+    step, found = float(signature.steps[0]), signature.columns[:, 0]
+    assert 1 < step * LEVELS.max() < 8
+    one = (codes(step) - LEVELS) / step
+    assert np.linalg.norm(found - LEVELS) < 0.7 * np.linalg.norm(one - LEVELS)
+    np.testing.assert_allclose(found[1:], LEVELS[1:], atol=0.2 / step)
 
 
 def test_only_what_rounds_codes_has_a_stair():

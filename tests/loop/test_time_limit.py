@@ -1,6 +1,7 @@
 """Every diagnosis ends: at its time limit it says the best statement so far, and what it did not look at."""
 
 from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -90,6 +91,20 @@ def test_the_time_of_a_stage_ends_before_all_of_it_and_never_after(monkeypatch):
     with pytest.raises(TimeUp):
         watch.check()
     assert watch.is_over
+
+
+def test_a_search_that_came_to_its_end_leaves_all_that_is_left(monkeypatch):
+    """A null whose search took 290 of its 300 s was `unfinished` ten seconds later, with 600 s left."""
+    now = [0.0]
+    monkeypatch.setattr(telling, "monotonic", lambda: now[0])
+    monkeypatch.setattr(search, "_search", lambda case, watch, seen: now.__setitem__(0, 2.9))
+    watch = Deadline(9.0)
+    assert search.search(SimpleNamespace(standing=SimpleNamespace(names=frozenset())), watch) is None
+    now[0] = 4.0
+    watch.check()
+    now[0] = 9.5
+    with pytest.raises(TimeUp):
+        watch.check()
 
 
 def test_wherever_it_is_stopped_it_says_what_is_best_so_far(nominal, captures, steps):
