@@ -100,9 +100,10 @@ class Vignetting(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Decenter(Effect):
-    """A lens or pupil that sits beside the sensor's middle: fall-off with an odd part, equal in all channels.
+    """A lens or pupil that sits beside the sensor's middle: its natural fall-off is moved, equal in all channels.
 
-    A gradient of the light looks alike; rotating the camera by 180 degrees separates them (.73 to .19).
+    To first order a gradient, which a tilt of the light imitates: what tells them apart is that the gradient becomes flatter
+    outwards, and rotating the camera by 180 degrees (.73 to .19).
     """
 
     name = "decenter"
@@ -116,20 +117,24 @@ class Decenter(Effect):
         "sensor_tilt",
     )
     free = FreeAxis("field radius", "share", 0.5)
-    equation = "E x (1 + a x + b y), x and y in half diagonals"
-    reference = "first-order term of a shifted fall-off; Kingslake & Johnson, Lens Design Fundamentals, 2nd ed."
+    equation = "E x cos^4(theta from the lens axis)/cos^4(theta from the sensor's middle), tan theta = distance / focal length"
+    reference = "Kingslake, Optics in Photography (1992), ch. 7, about the axis of the lens"
     must_not_change = ("dark",)
 
-    a: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.03, doc="rise along x (columns)")
-    b: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.03, doc="rise along y (rows)")
+    x_um: float = parameter(0.0, unit="um", low=-5000.0, high=5000.0, tau=50.0, doc="lens axis from the sensor's middle, x")
+    y_um: float = parameter(0.0, unit="um", low=-5000.0, high=5000.0, tau=50.0, doc="lens axis from the sensor's middle, y")
+    focal_mm: float = parameter(
+        4.38, unit="mm", low=0.1, high=2000.0, shape=True, doc="focal length (distance of the exit pupil)"
+    )
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Scale by the gradient of each pixel."""
-        if not (self.a or self.b):
+        """Scale by the ratio of both fall-offs at each pixel."""
+        if not (self.x_um or self.y_um):
             return signal
         x, y = context.xy_mm()
-        half = context.sensor.half_diagonal_mm
-        return signal.scaled((1 + self.a * x / half + self.b * y / half)[None])
+        centered = self.focal_mm**2 + x * x + y * y
+        moved = self.focal_mm**2 + (x - 1e-3 * self.x_um) ** 2 + (y - 1e-3 * self.y_um) ** 2
+        return signal.scaled(((centered / moved) ** 2)[None])
 
 
 @dataclass(frozen=True, kw_only=True)

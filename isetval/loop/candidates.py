@@ -32,16 +32,18 @@ class Scale:
 
     charge: float = 1.0
     dn: float = 1.0
+    focal_mm: float = 0.0  # of its lens, as an effect of the model states it; 0: none does
 
     @classmethod
     def of(cls, model: CameraModel) -> Scale:
         """That of a model: its full well, or the charge at the converter's end, and its conversion gain."""
         gain = model.value("conversion_gain.gain_dn_per_e") if model.effect("conversion_gain") is not None else 0.0
+        focal_mm = next((f for f in (effect.values().get("focal_mm", 0.0) for effect in model.effects) if f), 0.0)
         if gain <= 0:
-            return cls()
+            return cls(focal_mm=focal_mm)
         well_e = model.value("full_well.well_e") if model.effect("full_well") is not None else np.inf
         end_e = (model.sensor.white_dn - float(np.mean(model.sensor.black_dn))) / gain
-        return cls((well_e if well_e < UNLIMITED_E else end_e) / FULL_WELL_E, gain / GAIN_DN_PER_E)
+        return cls((well_e if well_e < UNLIMITED_E else end_e) / FULL_WELL_E, gain / GAIN_DN_PER_E, focal_mm)
 
     def width(self, effect: Effect, info: ParameterInfo) -> ParameterInfo:
         """A parameter with the width of its prior in this camera."""
@@ -50,9 +52,11 @@ class Scale:
         return info if info.tau is None or factor == 1 else replace(info, tau=info.tau * factor)
 
     def form(self, effect: Effect) -> Effect:
-        """An absent effect with its shapes that are charges in proportion to this camera's full well."""
-        shapes = [p for p in effect.parameters() if p.shape and p.name in effect.of_full_well]
-        return effect.changed(**{p.name: effect.values()[p.name] * self.charge for p in shapes}) if shapes else effect
+        """An absent effect with this camera's lens, and its shapes that are charges in proportion to this camera's full well."""
+        shapes = [p.name for p in effect.parameters() if p.shape]
+        known = {name: effect.values()[name] * self.charge for name in shapes if name in effect.of_full_well}
+        known |= {"focal_mm": self.focal_mm} if self.focal_mm and "focal_mm" in shapes else {}
+        return effect.changed(**known) if known else effect
 
 
 @dataclass(frozen=True)

@@ -83,12 +83,26 @@ def test_a_rim_that_moves_off_the_pupil_takes_in_proportion(place, light):
     np.testing.assert_allclose(out, 1 - 0.4 * (radius - 0.5) / 0.5)
 
 
-def test_decentring_is_odd_over_the_field(place, light):
-    effect = Decenter(a=0.1, b=-0.05)
-    one = effect.apply(light(), place(window=(0, 0, 8, 8))).values
-    other = effect.apply(light(), place(window=(3016, 4024, 8, 8))).values
-    np.testing.assert_allclose(one + other[:, ::-1, ::-1], 2.0)
-    assert one[0, 0, 0] == pytest.approx(1 - 0.1 * 2015.5 / HALF_PX + 0.05 * 1511.5 / HALF_PX)
+def test_a_lens_beside_the_middle_moves_its_fall_off(place, light):
+    """What falls off about the sensor's middle falls off about the lens axis: cos^4 of the moved place."""
+    x_um, y_um, focal_mm = 120.0, -60.0, 4.38
+    natural, moved = Cos4(focal_mm=focal_mm), Decenter(x_um=x_um, y_um=y_um, focal_mm=focal_mm)
+    for window in ((0, 0, 4, 4), (3020, 4028, 4, 4), (200, 3000, 4, 4)):
+        context = place(window=window)
+        x, y = context.xy_mm()
+        tangent2 = ((x - 1e-3 * x_um) ** 2 + (y - 1e-3 * y_um) ** 2) / focal_mm**2
+        out = moved.apply(natural.apply(light(shape=(4, 4)), context), context).values[0]
+        np.testing.assert_allclose(out, (1 + tangent2) ** -2.0, rtol=1e-6)
+
+
+def test_decentring_is_odd_over_the_field_and_flatter_outwards(place, light):
+    effect = Decenter(x_um=20.0, y_um=-10.0)
+    one = effect.apply(light(), place(window=(0, 0, 8, 8))).values - 1
+    other = effect.apply(light(), place(window=(3016, 4024, 8, 8))).values - 1
+    np.testing.assert_allclose(one, -other[:, ::-1, ::-1], rtol=0.02)
+    x_um, focal_um = 1.4 * 2011.5, 4380.0
+    across = Decenter(x_um=20.0).apply(light(), place(window=(1508, 4024, 8, 8))).values - 1
+    assert across.mean() == pytest.approx(4 * x_um * 20.0 / (focal_um**2 + x_um**2), rel=0.01)
 
 
 def test_glare_adds_the_mean_of_the_whole_field_in_each_band(place, light):

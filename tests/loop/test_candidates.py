@@ -160,3 +160,10 @@ def test_dust_may_lie_in_any_window_of_the_flats(model):
     assert share < 0.01
     assert [c.prior_weight for c in found] == pytest.approx([share, share])
     assert not [c for c in candidates_for(model) if c.klass == "dust"]
+
+
+def test_an_absent_effect_has_the_lens_of_the_camera(model):
+    """A decentred lens of 25 mm moves its fall-off by less than one of 4.38 mm, for which the catalogue is stated."""
+    longer = model.with_values({"cos4.focal_mm": 25.0})
+    (decenter,) = (c for c in candidates_for(longer) if c.name == "decenter")
+    assert decenter.effect.values()["focal_mm"] == 25.0

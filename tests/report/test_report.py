@@ -205,7 +205,7 @@ window.addEventListener("load", function () {
         ("dark_current", True, {"rate_e_per_s": (0.1, 0.26)}, "has too much dark current"),
         ("dark_current", True, {"rate_e_per_s": (0.1, 0.0)}, "lacks dark current"),
         ("microlens", True, {"m_red": (0.2, 0.1), "m_green": (0.05, 0.1)}, "has the wrong microlens"),
-        ("decenter", True, {"a": (-0.2, 0.1)}, "has the wrong decenter"),
+        ("decenter", True, {"x_um": (-20.0, 10.0)}, "has the wrong decenter"),
         ("of_a_package_that_is_gone", True, {"x": (2.0, 1.0)}, "has the wrong of a package that is gone"),
     ],
 )
