@@ -38,7 +38,8 @@ class Scale:
     def of(cls, model: CameraModel) -> Scale:
         """That of a model: its full well, or the charge at the converter's end, and its conversion gain."""
         gain = model.value("conversion_gain.gain_dn_per_e") if model.effect("conversion_gain") is not None else 0.0
-        focal_mm = next((f for f in (effect.values().get("focal_mm", 0.0) for effect in model.effects) if f), 0.0)
+        stated = {effect.name: effect.values()["focal_mm"] for effect in model.effects if effect.values().get("focal_mm")}
+        focal_mm = stated.get("cos4") or next(iter(stated.values()), 0.0)  # the first is the distance of the exit pupil
         if gain <= 0:
             return cls(focal_mm=focal_mm)
         well_e = model.value("full_well.well_e") if model.effect("full_well") is not None else np.inf
