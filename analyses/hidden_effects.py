@@ -54,7 +54,7 @@ def main(words=None):
         predict(options.plan)
         return 0
     if options.make:
-        return _make(*options.make)
+        return _make(*options.make, options.plan)
     if options.scales:
         from hidden_trials.scales import scale_lines
 
@@ -221,13 +221,13 @@ def _stored_table(report):
     return [head, *table_lines(found)]
 
 
-def _make(name, folder):
-    """A trial's campaign in a folder, and what is hidden in it beside it."""
+def _make(name, folder, plan):
+    """A trial's campaign in a folder, and what is hidden in it beside it; of an effect by its name in this plan."""
     from hidden_trials.draw import NOMINAL, named
 
     from isetval.testing.foreign_camera.campaign import write_campaign
 
-    t = named(name, plan=name.split("-")[0] if "-" in name else "small")
+    t = named(name, plan=plan)
     write_campaign(folder, NOMINAL, seed=t.seed, hidden=t.hidden, kind=t.plan, lens=t.lens, other_specimen=t.other_specimen)
     Path(f"{folder}.truth.json").write_text(json.dumps(t.row(), indent=1) + "\n", encoding="utf-8")
     print(f"{folder}: truth in {folder}.truth.json")

@@ -15,6 +15,7 @@ from isetval.testing.foreign_camera.campaign import LENSES, in_setting
 from isetval.testing.foreign_camera.concealed import FROM_NOMINAL
 from isetval.testing.foreign_camera.concealed_effects import EFFECTS
 from isetval.testing.foreign_camera.concealed_strangers import FORMS, OUTSIDERS
+from isetval.testing.foreign_camera.plan import PLANS
 from isetval.testing.foreign_camera.strengths import ALL, measured_strengths, strength_for, visible
 
 KINDS = ("null", "single", "pair", "form", "outsider")
@@ -143,7 +144,8 @@ def _same_class(a, b):
 
 
 def named(text, *, plan):
-    """A trial by its id, or a single effect in its practical strength by its name (seed of development)."""
+    """A trial by its id, or a single effect in its practical strength by its name or the id it has then (seed of development)."""
+    plan, text = next(((own, text.removeprefix(f"{own}-")) for own in PLANS if text.removeprefix(f"{own}-") in ALL), (plan, text))
     if text in ALL:
         camera = nominal_camera(NOMINAL / "camera.toml")
         concealed = ALL[text]

@@ -36,11 +36,11 @@ class CircularPupil:
     Parameters
     ----------
     f_number : float
-        Ratio of image distance to pupil diameter N.
+        Ratio of image distance to pupil diameter N of geometric optics.
     pixel_um : float
         Pixel pitch in um: turns cycles/pixel into cycles/um.
     diffraction_f_number : float
-        N of the wave optics; 0 is geometric optics.
+        N of the wave optics, in place of ``f_number``: the pupil that diffracts sets the cone; 0 is geometric optics.
     focus_um : float
         Shift z of the sensor from best focus in um, away from the lens.
     red_um, blue_um : float
@@ -99,10 +99,10 @@ class CircularPupil:
         """The transfer function at frequencies in cycles/um, in directions ``turn`` from the columns' axis."""
         wave_um = np.asarray(wavelength_nm, float) * 1e-3
         separation = np.asarray(frequency * wave_um * self.diffraction_f_number)
-        phase = np.asarray(np.pi * self._focus(wavelength_nm) * frequency / self.f_number)
+        phase = np.asarray(np.pi * self._focus(wavelength_nm) * frequency / self._cone)
         if not self._aberrated():
             return defocused(separation, phase)
-        shear = 2 * np.pi * frequency * self.f_number * REFERENCE_NM * 1e-3
+        shear = 2 * np.pi * frequency * self._cone * REFERENCE_NM * 1e-3
         cos2, sin2 = np.cos(2 * turn), np.sin(2 * turn)
         a0, a45 = self.astigmatism_0_waves, self.astigmatism_45_waves
         phase = phase + shear * 4 * math.sqrt(6) * (a0 * cos2 + a45 * sin2)
@@ -127,6 +127,11 @@ class CircularPupil:
     def _plain(self) -> CircularPupil:
         """Without aberrations."""
         return replace(self, **{field.name: 0.0 for field in fields(self) if field.name.endswith("_waves")})
+
+    @property
+    def _cone(self) -> float:
+        """N of the cone of light: of the pupil that diffracts, where one does."""
+        return self.diffraction_f_number or self.f_number
 
     def _focus(self, wavelength_nm: Float) -> Float | float:
         if not (self.red_um or self.blue_um):

@@ -7,7 +7,7 @@ import pytest
 
 from isetval.core.scene import EdgeTarget, Scene
 from isetval.core.signal import Layer, Signal
-from isetval.effects.optics_blur import Aperture, Astigmatism, Coma, Diffraction, MotionBlur, Spherical
+from isetval.effects.optics_blur import Aperture, Astigmatism, Coma, Defocus, Diffraction, MotionBlur, Spherical
 from isetval.effects.optics_field import (
     Cos4,
     Decenter,
@@ -51,6 +51,15 @@ def test_diffraction_is_switched_on_by_its_own_f_number(place, light):
     s = 0.5 / 1.4 * 0.55 * 2.0
     expected = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
     assert otf(Diffraction(f_number=2.0).apply(bare, place()), 0.5, 0, 550) == pytest.approx(expected)
+
+
+def test_the_pupil_that_diffracts_sets_the_cone_of_a_defocus_as_well(place, light):
+    """One pupil has one size: W20 = z/(8 N^2) with the N that diffracts (the disc of a lens of 5 % more is 5 % smaller)."""
+    stated = light().through(replace(light().pupil, diffraction_f_number=0.0))
+    smaller = Defocus(z_um=8.0).apply(Diffraction(f_number=1.05 * stated.pupil.f_number).apply(stated, place()), place())
+    n = 1.05 * stated.pupil.f_number
+    known = replace(stated.pupil, f_number=n, diffraction_f_number=n, focus_um=8.0)
+    assert otf(smaller, 0.3, 0.1, 550) == pytest.approx(otf(light().through(known), 0.3, 0.1, 550))
 
 
 def test_cos4_at_an_angle_of_45_degrees(place, light):
