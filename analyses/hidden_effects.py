@@ -227,10 +227,12 @@ def _make(name, folder, plan):
 
     from isetval.testing.foreign_camera.campaign import write_campaign
 
-    t = named(name, plan=plan)
+    t, truth = named(name, plan=plan), Path(f"{folder}.truth.json")
+    if Path(folder).exists() or truth.exists():
+        raise SystemExit(f"{folder}, or {truth.name} beside it: is there already; name a folder that is not")
     write_campaign(folder, NOMINAL, seed=t.seed, hidden=t.hidden, kind=t.plan, lens=t.lens, other_specimen=t.other_specimen)
-    Path(f"{folder}.truth.json").write_text(json.dumps(t.row(), indent=1) + "\n", encoding="utf-8")
-    print(f"{folder}: truth in {folder}.truth.json")
+    truth.write_text(json.dumps(t.row(), indent=1) + "\n", encoding="utf-8")
+    print(f"{folder}: truth in {truth}")
     return 0
 
 

@@ -145,7 +145,9 @@ def _same_class(a, b):
 
 def named(text, *, plan):
     """A trial by its id, or a single effect in its practical strength by its name or the id it has then (seed of development)."""
-    plan, text = next(((own, text.removeprefix(f"{own}-")) for own in PLANS if text.removeprefix(f"{own}-") in ALL), (plan, text))
+    given, _, name = text.partition("-")
+    if given in PLANS and name in ALL:
+        plan, text = given, name
     if text in ALL:
         camera = nominal_camera(NOMINAL / "camera.toml")
         concealed = ALL[text]
@@ -156,5 +158,7 @@ def named(text, *, plan):
         seed = SEEDS["development"] + 999_000 + sorted(ALL).index(text)
         expected = [_expected(concealed, 1.0, plan, "open")]
         return Trial(f"{plan}-{text}", kind, plan, "open", False, seed, "practice", {text: parameters}, [truth], expected)
-    plan, seeds, number = text.rsplit("-", 2)
+    plan, seeds, number = (*text.split("-"), "", "")[:3]
+    if plan not in PLANS or seeds not in SEEDS or not number.isdecimal():
+        raise SystemExit(f"{text}: neither an effect of the foreign camera nor an id as small-scoring-0003 or edges-diffraction")
     return trial(int(number), seeds=seeds, plan=plan)

@@ -18,6 +18,11 @@ from isetval.effects.pupil import REFERENCE_NM, by_dispersion, field_point
 Float = NDArray[np.float64]
 
 
+def _tangent2(x_mm: Float, y_mm: Float, focal_mm: float) -> Float:
+    """Squared tangent of the field angle, (rows, cols), at distances from the lens axis in mm."""
+    return np.asarray((x_mm * x_mm + y_mm * y_mm) / focal_mm**2)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cos4(Effect):
     """Natural fall-off of a lens with a pupil of fixed size: cos^4, with a free exponent.
@@ -53,8 +58,7 @@ class Cos4(Effect):
         if self.delta == -4.0:
             return signal
         x, y = context.xy_mm()
-        tangent2 = (x * x + y * y) / self.focal_mm**2
-        return signal.scaled((1 + tangent2)[None] ** (-(4 + self.delta) / 2))
+        return signal.scaled((1 + _tangent2(x, y, self.focal_mm))[None] ** (-(4 + self.delta) / 2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,9 +136,8 @@ class Decenter(Effect):
         if not (self.x_um or self.y_um):
             return signal
         x, y = context.xy_mm()
-        centered = self.focal_mm**2 + x * x + y * y
-        moved = self.focal_mm**2 + (x - 1e-3 * self.x_um) ** 2 + (y - 1e-3 * self.y_um) ** 2
-        return signal.scaled(((centered / moved) ** 2)[None])
+        moved = _tangent2(x - 1e-3 * self.x_um, y - 1e-3 * self.y_um, self.focal_mm)
+        return signal.scaled((((1 + _tangent2(x, y, self.focal_mm)) / (1 + moved)) ** 2)[None])
 
 
 @dataclass(frozen=True, kw_only=True)

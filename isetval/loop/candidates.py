@@ -24,7 +24,7 @@ WIDER = 10.0  # how much wider a wrong prior of the laboratory may be: an order 
 
 @dataclass(frozen=True)
 class Scale:
-    """How much larger charges and digital numbers of a camera are than those of the one that the catalogue is stated for.
+    """A camera's lens, and how much larger its charges and digital numbers are than those that the catalogue is stated for.
 
     A response that loses 2 % at full well, a knee at a third of it, rows that scatter by an electron: of a sensor of 60,000 e-
     these are other numbers than of one of 6,000.

@@ -38,7 +38,7 @@ def search(case: Investigation, watch: Deadline) -> str | None:
     try:
         try:
             _search(case, watch, seen)
-            watch.stage()  # what comes after has all that is left: a null whose search took 290 of its 300 s had no answer
+            watch.stage()  # what comes after has all that is left, not what is left of the search's part
             return None
         except TimeUp:
             if watch.is_over:

@@ -37,7 +37,7 @@ def fit_likely(case: Investigation, say: Say, seen: Collection[Names], *, first:
     wanted = [names for names in proposed if names not in seen or names < case.standing.names]
     many = first or (far and not case.standing.names)
     listed = of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]
-    # asked one by one: what is worth a fit hangs on the fits before it, of which those of draws take ten times as long
+    # asked one by one: what is worth a fit hangs on the fits before it, of which those of draws take longest
     worth = (
         names
         for i, names in sorted(enumerate(listed), key=lambda item: _is_drawn(case, item[1]))
@@ -83,7 +83,7 @@ def _worth_a_first_fit(case: Investigation, names: Names, place: int) -> bool:
 
 
 def _is_drawn(case: Investigation, names: Names) -> bool:
-    """Whether something that does not stand yet draws numbers: hits in each frame, over twelve draws, up to 80 s a fit."""
+    """Whether something that does not stand yet draws numbers, whose derivatives are means over as many as twelve draws."""
     members = (case.member(name) for name in names - case.standing.names)
     return any(isinstance(m, Candidate) and m.effect.random != "none" for m in members)
 

@@ -22,8 +22,7 @@ WANTED = 50.0  # sigmas of the new secant: far above the noise of common random 
 ODD = 0.33  # share of a secant of `WANTED` sigmas that turns its sign with the parameter: at 8 sigmas it is as long as the rest,
 # which goes as the square
 STAIRS = (0.5, 1.0, 1.5, 2.0)
-"""Of a step that moves levels by a few codes: where the secant of a stair is taken as well.  By one step of three codes a table
-of codes took 1,200 of the chi2 of `full-scoring-1606`, by the slope through four 6,600 and through eight 6,700."""
+"""Of a step that moves levels by a few codes: where secants of a stair are taken; four halve what the rounding of one leaves."""
 FEW_CODES = 8.0  # that a step moves a level by: a single secant is off by the rounding of one code, 4 % there
 SHORTENED = 3  # times that small shots are asked: twice as all shots are, and once whether anything is left to see
 
@@ -182,19 +181,19 @@ def _over_stairs(
 
     A table that moves no level by more than three codes moves each by 0, 1, 2 or 3: which of them depends on the step.
     """
-    codes = [
-        np.array([abs(h) / c.code_steps.get(key, np.inf) for key, h in zip(c.keys, own, strict=True)])
-        for c, own in zip(wanted, steps, strict=True)
-    ]
-    stairs = [i for i, c in enumerate(wanted) if c.effect.whole_codes and np.any((codes[i] > 0) & (codes[i] < FEW_CODES))]
-    few = [i for i in stairs if all(may_step(wanted[i], part * steps[i]) for part in STAIRS)]
-    others = [part for part in STAIRS if part != 1.0]
-    asked = [(i, part) for i in few for part in others]
-    found = iter(secants(problem, point, [wanted[i] for i, _ in asked], [part * steps[i] for i, part in asked]))
-    total = sum(part**2 for part in STAIRS)
-    for i in few:
-        slope = (columns[i] + sum(part**2 * next(found) for part in others)) / total
-        columns[i] = np.where((codes[i] > 0) & (codes[i] < FEW_CODES), slope, columns[i])
+    few = {i: _by_few_codes(c, step) for i, (c, step) in enumerate(zip(wanted, steps, strict=True))}
+    stairs = [i for i, own in few.items() if own.any() and all(may_step(wanted[i], part * steps[i]) for part in STAIRS)]
+    asked = [(i, part) for part in STAIRS for i in stairs]
+    found = secants(problem, point, [wanted[i] for i, _ in asked], [part * steps[i] for i, part in asked])
+    for i in stairs:
+        slope = sum(part**2 * column for (j, part), column in zip(asked, found, strict=True) if j == i) / sum(np.square(STAIRS))
+        columns[i] = np.where(few[i], slope, columns[i])
+
+
+def _by_few_codes(candidate: Candidate, steps: Float) -> NDArray[np.bool_]:
+    """Which of a candidate's steps move the level that moves most by a few whole codes, (parameters,)."""
+    stairs = candidate.code_steps if candidate.effect.whole_codes else {}
+    return np.array([key in stairs and abs(h) < FEW_CODES * stairs[key] for key, h in zip(candidate.keys, steps, strict=True)])
 
 
 def _other_side(problem: Problem, point: Point, wanted: Sequence[Candidate], steps: list[Float], columns: list[Float]) -> None:

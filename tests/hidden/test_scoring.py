@@ -43,6 +43,27 @@ def test_stored_strengths_are_restated_by_the_laws_of_now():
     assert draw.restated_s(half) == pytest.approx([15 / 4], rel=1e-2)
 
 
+def test_an_effect_is_made_by_its_name_or_by_the_id_that_it_has_in_the_rows():
+    by_name, by_id = draw.named("diffraction", plan="edges"), draw.named("edges-diffraction", plan="small")
+    assert by_name == by_id
+    assert by_id.id == "edges-diffraction"
+    assert draw.named("small-scoring-0003", plan="full") == draw.trial(3, seeds="scoring", plan="small")
+
+
+@pytest.mark.parametrize("text", ["nonsense", "full-nonsense", "small-scoring", "small-scoring-x", "small-foo-3"])
+def test_what_is_no_trial_is_said_so(text):
+    with pytest.raises(SystemExit, match=f"{text}: neither an effect"):
+        draw.named(text, plan="edges")
+
+
+def test_a_folder_that_is_there_is_left_alone(tmp_path):
+    mine = tmp_path / "mine.txt"
+    mine.write_text("a campaign of mine")
+    with pytest.raises(SystemExit, match="there already"):
+        hidden_effects.main(["--make", "edges-diffraction", str(tmp_path)])
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
 def _row(kind, truths, verdict, effects, **more):
     named = [
         {"name": n, "posterior": p, "equivalent": list(same), "parameters": {"x": {"value": 3.0, "sigma": 0.5}}}

@@ -94,7 +94,7 @@ def test_the_time_of_a_stage_ends_before_all_of_it_and_never_after(monkeypatch):
 
 
 def test_a_search_that_came_to_its_end_leaves_all_that_is_left(monkeypatch):
-    """A null whose search took 290 of its 300 s was `unfinished` ten seconds later, with 600 s left."""
+    """A search that ended 14 s before its third was over: the ladder was stopped when it was, with 600 s of 900 left."""
     now = [0.0]
     monkeypatch.setattr(telling, "monotonic", lambda: now[0])
     monkeypatch.setattr(search, "_search", lambda case, watch, seen: now.__setitem__(0, 2.9))
