@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -63,9 +64,11 @@ class LightNonuniformity(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class SpdMismatch(Effect):
-    """A light whose spectrum is not the stated one: a tilt, a bow and a spike.  Residuals under that light only.
+    """A light whose spectrum is not the stated one: a tilt, a bow and a line.  Residuals under that light only.
 
     The ratio of two black bodies is exp(k / lambda): nearly all tilt, with a bow of a seventh to a quarter of it.
+    A line is light of its own: it adds to whatever continuum there is, so that it is stated as a share of the mean radiance.
+    It is looked for where narrow-band fluorescent lamps have theirs, one in each colour of a camera, and moves from there.
 
     ``light`` names the light it belongs to (empty: all).  Confounded with spectral crosstalk and a shift
     of the colour filters; a spectroradiometer or a second white tells.
@@ -83,16 +86,17 @@ class SpdMismatch(Effect):
         "fluorescence",
     )
     free = FreeAxis("wavelength", "gain", 0.1)
-    equation = "L x max(0, 1 + t x + b x^2 + spike exp(-(lambda - lambda_s)^2 / (2 w^2))), x = (lambda - 550)/100 nm"
-    reference = "CIE 15:2018, sec. 4 (tolerances of illuminants); second-order expansion"
+    equation = "max(0, L (1 + t x + b x^2) + spike mean(L) exp(-(lambda - lambda_s)^2 / (2 w^2))), x = (lambda - 550)/100 nm"
+    reference = "CIE 15:2018, sec. 4 (tolerances of illuminants; narrow-band lamps FL10 to FL12); second-order expansion"
     must_not_change = ("dark",)
     per_light: ClassVar[bool] = True
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"spike_nm": (545.0, 611.0, 436.0)}  # Tb, Eu, Hg
 
     light: str = ""
     tilt: float = parameter(0.0, unit="1/100 nm", low=-0.6, high=0.6, tau=0.05, doc="relative tilt t around 550 nm")
     bow: float = parameter(0.0, unit="1/(100 nm)^2", low=-0.2, high=0.4, tau=0.0125, doc="relative bow b around 550 nm")
-    spike: float = parameter(0.0, unit="1", low=-1.0, high=100.0, tau=0.2, doc="relative height of the spike")
-    spike_nm: float = parameter(545.0, unit="nm", low=300.0, high=1100.0, tau=60.0, shape=True, doc="place of the spike")
+    spike: float = parameter(0.0, unit="1", low=-1.0, high=100.0, tau=0.2, doc="height of the line, in mean radiances")
+    spike_nm: float = parameter(545.0, unit="nm", low=300.0, high=1100.0, tau=60.0, shape=True, doc="place of the line")
     width_nm: float = parameter(10.0, unit="nm", low=1.0, high=200.0, tau=15.0, shape=True, doc="its standard deviation w")
 
     def content(self) -> tuple[Any, ...]:
@@ -105,8 +109,9 @@ class SpdMismatch(Effect):
             return scene
         distance = (scene.wavelength_nm - self.spike_nm) / self.width_nm
         x = (scene.wavelength_nm - REFERENCE_NM) / 100
-        factor = 1 + self.tilt * x + self.bow * x**2 + self.spike * np.exp(-(distance**2) / 2)
-        return scene.with_white(np.maximum(factor, 0))
+        line = self.spike * np.mean(scene.white) * np.exp(-(distance**2) / 2)
+        added = np.divide(line, scene.white, out=np.zeros_like(scene.white), where=scene.white > 0)
+        return scene.with_white(np.maximum(1 + self.tilt * x + self.bow * x**2 + added, 0))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -68,12 +68,23 @@ def test_a_lamp_beside_the_axis_is_no_tilt_and_radial_part_alone(place):
 
 def test_a_wrong_spectrum_belongs_to_one_light(place):
     effect = SpdMismatch(light="A", tilt=0.1, spike=0.5, spike_nm=600.0, width_nm=5.0)
-    out = radiance(effect, FLAT, place(light="A"))[:, 0, 0] / FLAT.white
-    np.testing.assert_allclose(out, [0.85, 0.9, 0.95, 1.0, 1.55, 1.1, 1.15], atol=1e-12)
+    out = radiance(effect, FLAT, place(light="A"))[:, 0, 0]
+    line = [0, 0, 0, 0, 0.75, 0, 0]  # half of the mean radiance, which is 1.5
+    np.testing.assert_allclose(out, FLAT.white * [0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15] + line, atol=1e-12)
     bent = radiance(SpdMismatch(bow=0.1), FLAT, place())[:, 0, 0] / FLAT.white
     np.testing.assert_allclose(bent, 1 + 0.1 * (np.array([400, 450, 500, 550, 600, 650, 700]) / 100 - 5.5) ** 2, atol=1e-12)
     assert effect.apply_scene(FLAT, place(light="D65")) is FLAT
     assert effect.content() != replace(effect, light="D65").content()
+
+
+def test_a_line_adds_the_same_light_whatever_the_continuum(place):
+    """A share of the mean radiance, not of the radiance at its place, which of a warm lamp is a tenth in the violet."""
+    effect = SpdMismatch(spike=0.1, spike_nm=450.0, width_nm=5.0)
+    rise = [radiance(effect, s, place())[:, 0, 0] - s.white for s in (FLAT, replace(FLAT, white=FLAT.white[::-1]))]
+    np.testing.assert_allclose(rise[0], 0.15 * (GRID == 450), atol=1e-12)
+    np.testing.assert_allclose(rise[1], rise[0], atol=1e-12)
+    dark = replace(FLAT, white=np.where(GRID == 450, 0.0, FLAT.white))
+    assert np.array_equal(effect.apply_scene(dark, place()).white, dark.white)  # the stated spectrum holds no light there
 
 
 def test_light_level_by_field_position_leaves_flats_alone(place):

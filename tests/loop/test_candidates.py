@@ -19,8 +19,9 @@ def test_a_spectrum_may_be_wrong_for_one_light(model):
     plan = Campaign("p", shots, lights={name: Light(name, Spectrum.flat(0.01)) for name in ("sphere", "tube")})
     assert lights_of(plan) == ("sphere", "tube")
     found = [c for c in candidates_for(model, lights_of(plan)) if c.klass == "spd_mismatch"]
-    assert [c.effect.light for c in found] == ["", "sphere", "tube"]
-    assert len({c.name for c in found}) == 3
+    assert [c.effect.light for c in found if c.effect.spike_nm == 545] == ["", "sphere", "tube"]
+    assert [c.effect.spike_nm for c in found if c.effect.light == "tube"] == [545, 611, 436]
+    assert len({c.name for c in found}) == len(found) == 9
     assert {c.keys for c in found} == {("spd_mismatch.tilt", "spd_mismatch.bow", "spd_mismatch.spike")}
     assert sum(c.prior_weight for c in found) == pytest.approx(1.0)
 
@@ -38,11 +39,11 @@ def test_each_touches_its_own_light_only(model):
     assert not np.array_equal(seen["tube"], seen["sphere"])
 
 
-def test_one_light_needs_no_forms(model):
-    (only,) = [c for c in candidates_for(model, ("sphere",)) if c.klass == "spd_mismatch"]
-    assert only.name == "spd_mismatch"
-    assert only.prior_weight == 1.0
-    assert replace(only, prior_weight=0.5).klass == "spd_mismatch"
+def test_one_light_is_all_of_them(model):
+    found = [c for c in candidates_for(model, ("sphere",)) if c.klass == "spd_mismatch"]
+    assert [c.name for c in found] == ["spd_mismatch", "spd_mismatch (spike_nm 611)", "spd_mismatch (spike_nm 436)"]
+    assert [c.effect.light for c in found] == [""] * 3
+    assert replace(found[0], prior_weight=0.5).klass == "spd_mismatch"
 
 
 def test_forms_by_name_are_candidates_that_share_the_odds_of_their_effect(model):
