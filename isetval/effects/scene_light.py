@@ -68,7 +68,7 @@ class SpdMismatch(Effect):
 
     The ratio of two black bodies is exp(k / lambda): nearly all tilt, with a bow of a seventh to a quarter of it.
     A line is light of its own: it adds to whatever continuum there is, so that it is stated as a share of the mean radiance.
-    It is looked for where narrow-band fluorescent lamps have theirs, one in each colour of a camera, and moves from there.
+    It is looked for where narrow-band fluorescent lamps have theirs, and moves from there.
 
     ``light`` names the light it belongs to (empty: all).  Confounded with spectral crosstalk and a shift
     of the colour filters; a spectroradiometer or a second white tells.
@@ -90,7 +90,8 @@ class SpdMismatch(Effect):
     reference = "CIE 15:2018, sec. 4 (tolerances of illuminants; narrow-band lamps FL10 to FL12); second-order expansion"
     must_not_change = ("dark",)
     per_light: ClassVar[bool] = True
-    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"spike_nm": (545.0, 611.0, 436.0)}  # Tb, Eu, Hg
+    # Hg and Tb, Eu, Tb, Tb, Hg: nowhere from 410 to 640 nm farther than 29 nm, a filter's edge, from where one begins
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"spike_nm": (545.0, 611.0, 586.0, 488.0, 436.0)}
 
     light: str = ""
     tilt: float = parameter(0.0, unit="1/100 nm", low=-0.6, high=0.6, tau=0.05, doc="relative tilt t around 550 nm")

@@ -40,13 +40,15 @@ def in_best_form(
     say: Say,
     *,
     asked: bool = False,
+    left: bool = False,
     lead: float | None = None,
     heard: Callable[[Hypothesis], float] = lambda _: 0.0,
 ) -> Hypothesis:
     """The hypothesis with each effect in the form that the data ask for; the same where all have one form only.
 
     Shape parameters and free forms are first weighed as further columns of the linear model about the fit, where anything is
-    left over (or it is ``asked``: another name is about to explain it); those that promise strong evidence are fitted in full.
+    left over (seen here, or ``left`` as another hypothesis tells; or it is ``asked``: another name is about to explain it);
+    those that promise strong evidence are fitted in full.
     The evidence of each, as of any candidate, decides; the form is changed for strong evidence only.  ``lead`` is the score of
     the best hypothesis that it is compared with (of all that were fitted if none is stated): of rivals in the catalogue's forms
     each is asked for its own before one that got it stands in front of the others.  ``heard`` is what the hold-out says of a fit,
@@ -54,7 +56,7 @@ def in_best_form(
     """
     lead = max(case.score(h) for h in case.known.values()) if lead is None else lead
     for name in sorted(m.name for m in found.effects):
-        found = _in_best_form_of(case, found, name, say, asked, lead, heard)
+        found = _in_best_form_of(case, found, name, say, asked, left, lead, heard)
     return found
 
 
@@ -64,11 +66,12 @@ def _in_best_form_of(
     name: str,
     say: Say,
     asked: bool,
+    left: bool,
     lead: float,
     heard: Callable[[Hypothesis], float],
 ) -> Hypothesis:
     openings = _openings(found, name)
-    if not (openings and (asked or something_left(case, found))):
+    if not (openings and (asked or left or something_left(case, found))):
         return found
     fits = [found, *(_fitted(case, *promising, found) for promising in _promising(case, found, name, openings, asked, lead))]
     if len(fits) == 1:

@@ -13,13 +13,31 @@ FREE = {"knee": -400.7, "bent": -407.6, "table": -469.0}
 
 @dataclass(eq=False)
 class Found:
+    """A hypothesis of one effect: its name, ln(Z pi), the effect's class."""
+
     name: str
     value: float
-    members: tuple = ()
+    klass: str = ""
 
     @property
     def names(self):
         return frozenset({self.name})
+
+    @property
+    def members(self):
+        return (SimpleNamespace(name=self.name, klass=self.klass or self.name),)
+
+    @property
+    def fitted(self):
+        return SimpleNamespace(chi2=-2 * self.value)
+
+
+def _forms_given(monkeypatch, fitted, in_best_form, nothing=-524.0):
+    """What is known after hypotheses were put into the forms that ``in_best_form`` gives them."""
+    monkeypatch.setattr(shortlist, "in_best_form", in_best_form)
+    case = SimpleNamespace(known={f.names: f for f in fitted}, standing=Found("", nothing), score=lambda h: h.value)
+    shortlist._give_forms(case, fitted, print)
+    return case.known
 
 
 @pytest.mark.parametrize(("seen", "wanted"), [({"bent"}, {"knee", "bent"}), ({"knee"}, {"knee"}), (set(), set())])
@@ -27,19 +45,41 @@ def test_what_a_freer_form_put_in_front_does_not_win_by_that(monkeypatch, seen, 
     """What the knee leaves is too little to be seen, what the bent response leaves is not: only the latter was asked."""
     opened = set()
 
-    def in_best_form(case, found, say, *, asked=False, lead=None):
+    def in_best_form(case, found, say, *, asked=False, left=False, lead=None):
         if not asked and found.name not in seen:
             return found
         opened.add(found.name)
         return Found(found.name, FREE[found.name])
 
-    monkeypatch.setattr(shortlist, "in_best_form", in_best_form)
-    fitted = [Found(name, value) for name, value in OWN.items()]
-    case = SimpleNamespace(known={f.names: f for f in fitted}, standing=Found("", -524.0), score=lambda h: h.value)
-    shortlist._give_forms(case, fitted, print)
+    known = _forms_given(monkeypatch, [Found(name, value) for name, value in OWN.items()], in_best_form)
     assert opened == wanted
-    best = max(case.known.values(), key=case.score)
-    assert best.name == "knee"
+    assert max(known.values(), key=lambda h: h.value).name == "knee"
+
+
+def test_a_rival_that_explains_nearly_as_much_is_asked_though_nothing_is_seen_in_what_it_leaves(monkeypatch):
+    """A line asked for at the wrong place, behind filters that moved; one that explains less, or is hardly behind, is not."""
+    asked = {}
+
+    def in_best_form(case, found, say, *, asked_=asked, left=False, lead=None, **how):
+        asked_[found.name] = (left, lead)
+        return found
+
+    fitted = [Found("filters", -720.0), Found("close", -722.0), Found("line", -738.0), Found("gain", -780.0)]
+    _forms_given(monkeypatch, fitted, in_best_form, nothing=-940.0)
+    assert asked == {"filters": (False, -720.0), "close": (False, -720.0), "line": (True, -738.0), "gain": (False, -720.0)}
+
+
+def test_of_forms_of_one_class_the_best_alone_is_asked_for_a_freer_one(monkeypatch):
+    """The curve of a line that was asked for at the other end of the spectrum took most of the search's time."""
+    asked = []
+
+    def in_best_form(case, found, say, **how):
+        asked.append(found.name)
+        return found
+
+    fitted = [Found("line at 586", -700.0, "line"), Found("filters", -720.0), Found("line at 436", -770.0, "line")]
+    _forms_given(monkeypatch, fitted, in_best_form, nothing=-940.0)
+    assert asked == ["line at 586", "filters"]
 
 
 class Standing:
