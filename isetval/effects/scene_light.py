@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, parameter
-from isetval.core.scene import ChartTarget, Patch, Scene, Spectrum
+from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene, Spectrum
 from isetval.effects.pupil import REFERENCE_NM, field_point
 
 Float = NDArray[np.float64]
@@ -186,7 +186,7 @@ class ChartTilt(Effect):
     name = "chart_tilt"
     stage = "scene"
     order = 22.0
-    absent = "targets lit through their own diffuser"
+    absent = "targets lit through their own diffuser; edges, which are another target than the chart"
     imitated_by = (
         "light_nonuniformity",
         "vignetting",
@@ -194,13 +194,15 @@ class ChartTilt(Effect):
     )
     equation = "L x (1 + a x + b y) over the chart, x and y from -1 to 1 over the window"
     reference = "Lambert's cosine law, first order; Lyu et al., Accurate smartphone camera simulation using 3D scenes"
-    must_not_change = ("dark", "flat", "illumination")
+    must_not_change = ("dark", "flat", "edge", "illumination")
 
     a: float = parameter(0.0, unit="1", low=-0.9, high=0.9, tau=0.03, doc="rise from the middle to the right border")
     b: float = parameter(0.0, unit="1", low=-0.9, high=0.9, tau=0.03, doc="rise from the middle to the lower border")
 
     def apply_scene(self, scene: Scene, context: Context) -> Scene:
-        """Tilt the target."""
+        """Tilt a target that has patches."""
+        if scene.target is None or isinstance(scene.target, EdgeTarget):
+            return scene
         return replace(scene, target_tilt=(scene.target_tilt[0] + self.a, scene.target_tilt[1] + self.b))
 
 

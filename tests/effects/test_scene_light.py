@@ -108,6 +108,7 @@ def test_a_tilted_chart_has_a_gradient(place):
     even = radiance(ChartTilt(), CHART, place())
     np.testing.assert_allclose((out / even)[0, 255, 255], 1 + (0.1 - 0.04) * 127.5 / 128)
     np.testing.assert_allclose((out / even)[0, 0, 0], 1 - (0.1 - 0.04) * 127.5 / 128)
+    assert ChartTilt(a=0.1).apply_scene(EDGE, place()) is EDGE  # the light of another target says nothing of the chart's
 
 
 def test_a_highlight_lies_at_its_place_on_dark_and_bright_patches_alike(place):
