@@ -101,8 +101,9 @@ class SpdMismatch(Effect):
     width_nm: float = parameter(10.0, unit="nm", low=1.0, high=200.0, tau=15.0, shape=True, doc="its standard deviation w")
 
     def content(self) -> tuple[Any, ...]:
-        """Parameters and the light they belong to."""
-        return (*super().content(), self.light)
+        """Parameters and the light they belong to; without a line its place says nothing, and forms share what they simulate."""
+        idle = () if self.spike else ("spike_nm", "width_nm")
+        return (*(part for part in super().content() if part[0] not in idle), self.light)
 
     def apply_scene(self, scene: Scene, context: Context) -> Scene:
         """Change the light's spectrum in its own shots."""
@@ -111,8 +112,7 @@ class SpdMismatch(Effect):
         distance = (scene.wavelength_nm - self.spike_nm) / self.width_nm
         x = (scene.wavelength_nm - REFERENCE_NM) / 100
         line = self.spike * np.mean(scene.white) * np.exp(-(distance**2) / 2)
-        added = np.divide(line, scene.white, out=np.zeros_like(scene.white), where=scene.white > 0)
-        return scene.with_white(np.maximum(1 + self.tilt * x + self.bow * x**2 + added, 0))
+        return replace(scene, white=np.maximum(scene.white * (1 + self.tilt * x + self.bow * x**2) + line, 0))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from itertools import zip_longest
 import numpy as np
 
 from isetval.loop.candidates import Candidate
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis
+from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, Member
 from isetval.loop.forms import in_best_form, something_left
 from isetval.loop.investigation import BENDS, ODDS, Investigation, fitted_jointly
 from isetval.loop.posterior import NOTHING, Names
@@ -80,8 +80,12 @@ def _best_of_each_class(fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
     """
     found: dict[frozenset[str], Hypothesis] = {}
     for one in fitted:
-        found.setdefault(frozenset(getattr(m, "klass", m.name) for m in one.members), one)
+        found.setdefault(_classes(one.members), one)
     return list(found.values())
+
+
+def _classes(members: Iterable[Member]) -> frozenset[str]:
+    return frozenset(getattr(m, "klass", m.name) for m in members)
 
 
 def _is_outdone(case: Investigation, found: Hypothesis, best: Hypothesis) -> bool:
@@ -140,7 +144,7 @@ def of_several_classes(case: Investigation, proposals: Sequence[Names]) -> list[
     tried: Counter[Names] = Counter()
     out = []
     for names in proposals:
-        classes = frozenset(getattr(case.member(name), "klass", name) for name in names)
+        classes = _classes(case.member(name) for name in names)
         tried[classes] += 1
         if tried[classes] <= FORMS_TRIED:
             out.append(names)

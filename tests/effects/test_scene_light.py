@@ -83,8 +83,14 @@ def test_a_line_adds_the_same_light_whatever_the_continuum(place):
     rise = [radiance(effect, s, place())[:, 0, 0] - s.white for s in (FLAT, replace(FLAT, white=FLAT.white[::-1]))]
     np.testing.assert_allclose(rise[0], 0.15 * (GRID == 450), atol=1e-12)
     np.testing.assert_allclose(rise[1], rise[0], atol=1e-12)
-    dark = replace(FLAT, white=np.where(GRID == 450, 0.0, FLAT.white))
-    assert np.array_equal(effect.apply_scene(dark, place()).white, dark.white)  # the stated spectrum holds no light there
+    dark = replace(FLAT, white=np.where(GRID == 450, 0.0, FLAT.white))  # a line where the stated spectrum holds no light
+    np.testing.assert_allclose(radiance(effect, dark, place())[:, 0, 0] - dark.white, 0.1 * dark.white.mean() * (GRID == 450))
+
+
+def test_without_a_line_its_place_makes_no_other_light():
+    forms = [SpdMismatch(tilt=0.1, spike_nm=nm) for nm in (545.0, 611.0)]
+    assert forms[0].content() == forms[1].content()
+    assert replace(forms[0], spike=0.1).content() != replace(forms[1], spike=0.1).content()
 
 
 def test_light_level_by_field_position_leaves_flats_alone(place):

@@ -60,8 +60,8 @@ def test_a_rival_that_explains_nearly_as_much_is_asked_though_nothing_is_seen_in
     """A line asked for at the wrong place, behind filters that moved; one that explains less, or is hardly behind, is not."""
     asked = {}
 
-    def in_best_form(case, found, say, *, asked_=asked, left=False, lead=None, **how):
-        asked_[found.name] = (left, lead)
+    def in_best_form(case, found, say, *, left=False, lead=None):
+        asked[found.name] = (left, lead)
         return found
 
     fitted = [Found("filters", -720.0), Found("close", -722.0), Found("line", -738.0), Found("gain", -780.0)]
