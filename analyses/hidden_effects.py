@@ -40,7 +40,7 @@ def main(words=None):
         from hidden_trials.calibrate import calibrate
         from hidden_trials.draw import NOMINAL
 
-        calibrate(NOMINAL, options.plan, options.lens)
+        calibrate(NOMINAL, options.plan, options.lens, names=tuple(filter(None, options.names.split(","))))
         return 0
     if options.nearest:
         from hidden_trials.draw import NOMINAL

@@ -142,7 +142,7 @@ def _reliability(axes, found):
     axes.plot([0, 1], [0, 1], color="#999", lw=1)
     axes.errorbar(stated, right, yerr=spread, fmt="o", capsize=3)
     words = "\n".join(f"{b['stated']:.2f} stated, {b['share']:.2f} right, n = {b['n']}" for b in rows)
-    axes.text(0.02, 0.97, words, transform=axes.transAxes, va="top", fontsize=9)  # beside the points they lie on one another
+    axes.text(1.03, 0.97, words, transform=axes.transAxes, va="top", fontsize=9)  # at the points they lie on one another
     axes.set(xlabel="stated posterior of the first name", ylabel="share right", xlim=(0, 1.03), ylim=(-0.05, 1.05))
     return bool(rows)
 

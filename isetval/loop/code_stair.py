@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.loop.derivatives import at
 from isetval.loop.fit import Fit, fit
 from isetval.loop.gaussian import orthonormal_basis, prior_weights, with_priors
 from isetval.loop.problem import Problem
+from isetval.loop.slopes import at
 
 Float = NDArray[np.float64]
 CODES = 2.0  # of the brightest level, over which a slope is taken and steps are looked at: derivatives across them are a step off

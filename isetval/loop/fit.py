@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
-from isetval.loop.derivatives import LEAST_FACTOR, SCALED, STALE, jacobian, take_finer
+from isetval.loop.derivatives import STALE, jacobian, take_finer
 from isetval.loop.family_scales import Families
 from isetval.loop.fit_state import FitState, is_closer, next_step
 from isetval.loop.gaussian import hessian, inverse
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
+from isetval.loop.slopes import LEAST_FACTOR, SCALED
 
 Float = NDArray[np.float64]
 MAX_ITERATIONS = 20  # Gauss-Newton steps: a bound on cost; a fit that ends there says that it has not converged
@@ -27,7 +28,8 @@ FAR = 3.0  # prior sigmas of focus beyond which weights, too, are made at the pl
 NEAR = 2.0  # sigmas of all rows together that a fit may move with derivatives from both sides: a fifth of the ten sigmas over
 # which they are taken (`steps.SPAN`); those of a free form of twelve parameters cost nine seconds a place
 HOPE = 2.0  # times what derivatives promise, that a fit may still fall: a choice; where more is to be had steps promise more
-TRUSTED = 0.75  # of a promised fall: derivatives that predicted so much of it are kept (as trust regions grow, More 1978)
+TRUSTED = 0.75  # of a promised fall: derivatives that predicted so much of it are kept (as trust regions grow, More 1978), or
+# all but what rounding moves the cost by: at the bottom of a valley steps promise no more than that
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +189,8 @@ def _descended(
             break
         take_finer(problem, state.posed(start, free), free, matrix[foretold_wrong & problem.means[problem.keep]])
         if not (of_here or state.is_close(matrix)):
-            matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if fell > TRUSTED * promised else 0.0)
+            foretold = fell > TRUSTED * promised or abs(promised - fell) < state.rounding
+            matrix = jacobian(problem, state.posed(start, free), free, stale=STALE if foretold else 0.0)
     converged = state.is_close(matrix)
     if free and converged and iterations:
         state = state.led(problem, free, matrix)

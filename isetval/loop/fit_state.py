@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
 from isetval.core.parameter import Parameter
-from isetval.loop.derivatives import at
 from isetval.loop.family_scales import SCALE_SETTLED, SCALE_TURNS, Families
 from isetval.loop.gaussian import prior_weights
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
+from isetval.loop.slopes import at
 
 Float = NDArray[np.float64]
 LONGEST = 1.5  # of a factor's logarithm in one step: four times and a quarter, beyond the width of any prior

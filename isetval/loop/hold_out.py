@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.loop.derivatives import at
 from isetval.loop.evidence import Hypothesis, linear_model
 from isetval.loop.fit import Fit
 from isetval.loop.fit_state import POSED_FACTOR, walked
@@ -18,6 +17,7 @@ from isetval.loop.investigation import Investigation, draws_of, named_model
 from isetval.loop.posterior import NOTHING, Names
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem
+from isetval.loop.slopes import at
 from isetval.loop.subset_sum import Weighed, weigh
 
 Float = NDArray[np.float64]

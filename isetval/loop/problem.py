@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -30,6 +30,20 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
+class Taken:
+    """Raw derivatives ``slopes`` (metrics, k) by the parameters of an effect, and where they were taken.
+
+    ``values`` and ``steps`` (k,) are those of its parameters, ``here`` (metrics,) what was measured there.
+    """
+
+    slopes: Float
+    values: Float
+    steps: Float
+    here: Float
+    both_sides: bool
+
+
+@dataclass(frozen=True, eq=False)
 class Replicas:
     """Replicas of one shot, and the vector of differences (rows of the shot,) with ``seeds`` where they were simulated."""
 
@@ -45,6 +59,7 @@ class Problem:
     ``color_variance`` (metrics,) is the part of the covariance's diagonal that colors of patches make which nobody knows.
     ``unseen`` (metrics, k) are columns of what captures scatter by and replicas do not: light that flickers, colors, rounding,
     noise of renders.  ``numbers`` are what squares of a true model's whitened rows sum to, by family.
+    ``effects`` are derivatives of effects that were taken (`isetval.loop.effect_columns`).
     ``steps`` are shortened finite steps of nuisances, by label, and ``finer`` those by which means are differenced
     more finely; ``filling`` says which levels are full (`isetval.loop.shoulder`).
     """
@@ -59,6 +74,7 @@ class Problem:
     covariance: Float
     seeds: tuple[int, ...] = DERIVATIVE_SEEDS
     columns: dict[str, Column] = field(default_factory=dict)
+    effects: dict[Hashable, Taken] = field(default_factory=dict)
     replicas: Mapping[str, Replicas] = field(default_factory=dict)
     steps: dict[str, float] = field(default_factory=dict)
     finer: set[str] = field(default_factory=set)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from isetval.core.campaign import Shot
 from isetval.core.metric import MetricTable
-from isetval.loop.derivatives import slopes
 from isetval.loop.fit import Fit
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
+from isetval.loop.slopes import slopes
 
 Float = NDArray[np.float64]
 CONTRAST, NEAR_ZERO = "mtf", 3.0  # sigmas of a contrast within which it may be on either side of zero, once in 700 farther off

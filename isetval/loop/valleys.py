@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
-from isetval.loop.derivatives import jacobian, value_at
+from isetval.loop.derivatives import jacobian
 from isetval.loop.gaussian import hessian, inverse
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
+from isetval.loop.slopes import value_at
 
 Float = NDArray[np.float64]
 WIDEST = 10.0  # prior sigmas looked at on both sides: how much wider a wrong prior may be (`candidates.WIDER`)

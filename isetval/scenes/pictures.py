@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,13 @@ COUNTS = (1, 2, 3, 4, 5, 7, 9, 13, 17, 25)
 TOLERANCE = 1e-6
 """Of the largest part of a picture of labels, what is left out.  Errors are of the brightest spectra, and a dark colour under a
 lamp with lines has some thousandth of those in a channel: at 1e-4 it was off by more than a chart's means are known to."""
+BLOCK = 1 << 14  # numbers of each part at a time: some 3 MB of forty parts, twice as fast as all at once
 KEEP_BYTES = 300_000_000  # of each kind, in each process: five windows of a rendered chart
 _BLURRED: OrderedDict[str, Float] = OrderedDict()
 _LABELLED: OrderedDict[str, SpectralPicture] = OrderedDict()
 _TRANSFORMS: OrderedDict[str, Float] = OrderedDict()
 _MIXED: OrderedDict[str, Float] = OrderedDict()
+_OPTICS: OrderedDict[str, Any] = OrderedDict()
 # frequencies at which a transfer function is looked at, in cycles per sample: along both axes and both diagonals
 _PROBE: Float = np.linspace(1 / 24, 0.5, 12)
 PROBE_X: Float = np.concatenate([_PROBE, 0 * _PROBE, _PROBE, -_PROBE])
@@ -82,20 +84,28 @@ def transfer_nodes(probe: Float, wavelength_nm: Float) -> tuple[Float, Float]:
 
 def _through_few(probe: Float, wavelength_nm: Float) -> tuple[Float, Float]:
     """`transfer_nodes` of one polynomial for all bands."""
-    low, high = wavelength_nm[[0, -1]]
-    unit = np.zeros(1) if low == high else (2 * wavelength_nm - low - high) / (high - low)
     for count in COUNTS:
         if count >= wavelength_nm.size:
             break
-        index = np.unique(np.searchsorted(unit, -np.cos(np.pi * np.arange(count) / max(1, count - 1)) - 1e-9))
-        at = unit[index] if count > 1 else unit[[unit.size // 2]]
-        powers = np.polynomial.chebyshev.chebvander
-        weights = np.linalg.solve(powers(at, at.size - 1).T, powers(unit, at.size - 1).T)
-        places = np.searchsorted(unit, at)
+        places, weights = _polynomial(wavelength_nm.tobytes(), count)
         off = np.abs(probe[:, places] @ weights - probe).reshape(DIRECTIONS, _PROBE.size, -1)
         if np.tensordot(off, 1 / (np.pi * np.arange(1, _PROBE.size + 1)), (1, 0)).max() <= PROBED * STEP_TOLERANCE:
             return wavelength_nm[places], weights
     return wavelength_nm, np.eye(wavelength_nm.size)
+
+
+@lru_cache(maxsize=256)
+def _polynomial(wavelength_nm: bytes, count: int) -> tuple[NDArray[np.intp], Float]:
+    """Places of at most ``count`` nodes on a grid, given by its bytes, and the weights (nodes, bands) of the polynomial there."""
+    grid = np.frombuffer(wavelength_nm)
+    low, high = grid[[0, -1]]
+    unit = np.zeros(1) if low == high else (2 * grid - low - high) / (high - low)
+    index = np.unique(np.searchsorted(unit, -np.cos(np.pi * np.arange(count) / max(1, count - 1)) - 1e-9))
+    at = unit[index] if count > 1 else unit[[unit.size // 2]]
+    powers = np.polynomial.chebyshev.chebvander
+    weights = np.linalg.solve(powers(at, at.size - 1).T, powers(unit, at.size - 1).T)
+    weights.setflags(write=False)
+    return np.searchsorted(unit, at), weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,10 +169,10 @@ class SpectralPicture:
             transfer = self._of_samples(transfer)
             level = float(np.abs(weights).max()) or 1.0
             relative = np.round(weights / level, 12)
-            shares, wanted, nodes, blurred = self._wanted(transfer, wavelength_nm)
-            key = content_hash((blurred, relative))
+            shares, wanted, nodes, optics = self._wanted(transfer, wavelength_nm)
+            key = content_hash((self.digest, optics, wanted, nodes, relative))
             if key not in _MIXED:
-                keep(_MIXED, key, self._summed(transfer, relative @ shares, wanted, nodes))
+                keep(_MIXED, key, self._summed(transfer, optics, relative @ shares, wanted, nodes))
             _MIXED.move_to_end(key)
             return level * _MIXED[key]
         mix, parts = self._seen(transfer, wavelength_nm)
@@ -188,10 +198,14 @@ class SpectralPicture:
     def _nodes(self, probe: Float, wavelength_nm: Float) -> tuple[Float, Float, Float]:
         """Spectra (bands, pictures), parts (pictures, parts) and wavelengths (pictures,): each part at each of its nodes."""
         mix, parts, nodes = [], [], []
+        known: dict[tuple[int, int], tuple[Float, Float]] = {}
         for part, spectrum in enumerate(self.spectra.T):
             seen = np.flatnonzero(spectrum)
-            near = slice(max(0, seen[0] - 1), seen[-1] + 2) if seen.size else slice(0, 1)
-            own, weights = transfer_nodes(probe[:, near], wavelength_nm[near])
+            ends = (max(0, seen[0] - 1), seen[-1] + 2) if seen.size else (0, 1)
+            near = slice(*ends)
+            if ends not in known:
+                known[ends] = transfer_nodes(probe[:, near], wavelength_nm[near])
+            own, weights = known[ends]
             parts += [np.eye(len(self.parts))[part]] * own.size
             nodes += [*own]
             share = np.zeros((own.size, wavelength_nm.size))
@@ -205,40 +219,47 @@ class SpectralPicture:
         return np.asarray(inner.reshape(-1, rows, s, cols, s).mean(axis=(2, 4), dtype=float))
 
     def _wanted(self, transfer: Transfer, wavelength_nm: Float) -> tuple[Float, Float, Float, str]:
-        """Spectra (bands, pictures) that mix pictures, their parts (pictures, parts), wavelengths (pictures,) and digest."""
+        """Spectra (bands, pictures) that mix pictures, their parts (pictures, parts), wavelengths (pictures,); the optics."""
         probe = self._probe(transfer, wavelength_nm)
         shares, wanted, at = self._nodes(probe, wavelength_nm)
         if at.size + TRANSFER_COST * np.unique(at).size > (1 + TRANSFER_COST) * wavelength_nm.size:  # every band on its own
             shares, wanted, at = np.eye(wavelength_nm.size), self.spectra, wavelength_nm
-        return shares, wanted, at, content_hash((self.digest, np.round(probe.astype(complex), 12), wanted, at))
+        return shares, wanted, at, content_hash(np.round(probe.astype(complex), 12))
 
     def _blurred(self, transfer: Transfer, wavelength_nm: Float) -> tuple[Float, Float]:
         """Each part at each of its nodes, (pictures, rows, cols), and the spectra (bands, pictures) that mix them."""
-        shares, wanted, nodes, key = self._wanted(transfer, wavelength_nm)
+        shares, wanted, nodes, optics = self._wanted(transfer, wavelength_nm)
+        key = content_hash((self.digest, optics, wanted, nodes))
         if key not in _BLURRED:
-            keep(_BLURRED, key, self._filtered(transfer, wanted, nodes))
+            keep(_BLURRED, key, self._filtered(transfer, optics, wanted, nodes))
         _BLURRED.move_to_end(key)
         return shares, _BLURRED[key]
 
-    def _summed(self, transfer: Transfer, weights: Float, wanted: Float, nodes: Float) -> Float:
+    def _summed(self, transfer: Transfer, optics: str, weights: Float, wanted: Float, nodes: Float) -> Float:
         """Sums (channels, rows, cols), with ``weights`` (channels, pictures), of what `_filtered` gives."""
         total = np.zeros((len(weights), *self._transforms.shape[1:]), complex)
         for node in np.unique(nodes):
             at = nodes == node
-            total += np.tensordot(weights[:, at] @ wanted[at], self._transforms, 1) * self._at(transfer, node)
+            total += self._together(weights[:, at] @ wanted[at]) * self._at(transfer, optics, node)
         return np.array([self._back(spectrum) for spectrum in total])
 
-    def _filtered(self, transfer: Transfer, wanted: Float, nodes: Float) -> Float:
+    def _together(self, shares: Float) -> Any:
+        """Sums (sums, n, n / 2 + 1) of the transforms with real ``shares`` (sums, parts), block by block."""
+        every = self._transforms
+        flat = every.view(np.float32).reshape(len(every), -1)
+        out = np.empty((len(shares), flat.shape[1]))
+        for start in range(0, flat.shape[1], BLOCK):
+            block = slice(start, start + BLOCK)
+            np.matmul(shares, flat[:, block].astype(float), out=out[:, block])
+        return out.view(complex).reshape(-1, *every.shape[1:])
+
+    def _filtered(self, transfer: Transfer, optics: str, wanted: Float, nodes: Float) -> Float:
         """Sums of parts (pictures, parts) behind the transfer function at a wavelength each, (pictures, rows, cols)."""
-        optics: dict[float, Any] = {}
         out = np.empty((len(wanted), *self.shape))
         for i, (share, node) in enumerate(zip(wanted, nodes, strict=True)):
-            if node not in optics:
-                optics[node] = self._at(transfer, node)
             used = np.flatnonzero(share)
-            spectra = self._transforms
-            spectrum = spectra[used[0]] if used.size == 1 else np.tensordot(share[used], spectra[used], 1)
-            out[i] = self._back(spectrum * optics[node])
+            spectrum = self._transforms[used[0]] if used.size == 1 else self._together(share[None])[0]
+            out[i] = self._back(spectrum * self._at(transfer, optics, node))
         return out
 
     @property
@@ -254,10 +275,14 @@ class SpectralPicture:
         fy, fx = np.fft.fftfreq(rows, 1 / self.subsample), np.fft.rfftfreq(cols, 1 / self.subsample)
         return np.asarray(fy)[:, None], np.asarray(fx)[None, :]
 
-    def _at(self, transfer: Transfer, node: float) -> Any:
-        """The transfer function at a wavelength."""
-        fy, fx = self._frequencies()
-        return np.asarray(transfer(fx, fy, np.array(node)))
+    def _at(self, transfer: Transfer, optics: str, node: float) -> Any:
+        """The transfer function, known by the digest of its samples, at a wavelength; charts in several lights share it."""
+        key = content_hash((optics, node, self._size, self.subsample))
+        if key not in _OPTICS:
+            fy, fx = self._frequencies()
+            keep(_OPTICS, key, np.asarray(transfer(fx, fy, np.array(node))))
+        _OPTICS.move_to_end(key)
+        return _OPTICS[key]
 
     @property
     def _transforms(self) -> Any:

@@ -12,7 +12,8 @@ from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
-from isetval.loop.derivatives import difference_of_both, jacobian, take_finer
+from isetval.loop.derivatives import jacobian, take_finer
+from isetval.loop.slopes import difference_of_both
 from isetval.loop.family_scales import dof_of
 from isetval.loop.fit import far_values, fit, moved_far
 from isetval.loop.fit_state import FitState, walked

@@ -14,7 +14,8 @@ from isetval.loop import hold_out, investigation, search
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
-from isetval.loop.derivatives import nuisance_parameters, slopes
+from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.slopes import slopes
 from isetval.loop.evidence import hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.hold_out import ask_holdout, likely_in_both

@@ -11,7 +11,8 @@ from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
-from isetval.loop.derivatives import nuisance_parameters, slopes
+from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.slopes import slopes
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 

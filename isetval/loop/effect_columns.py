@@ -1,0 +1,96 @@
+"""Derivatives by parameters of effects, remembered where they were taken.
+
+Hypotheses of one base share members: what stands is in all of them.  A difference costs a simulation of every shot that the
+effect moves, and one taken a few sigmas away is as good as any (`isetval.loop.steps.SPAN`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isetval.camera.model import CameraModel
+from isetval.core.effect import Effect
+from isetval.core.parameter import Parameter
+from isetval.loop.focus_chain import moves_focus
+from isetval.loop.prediction import Point
+from isetval.loop.problem import Problem, Taken
+from isetval.loop.slopes import slopes
+
+Float = NDArray[np.float64]
+NEAR = 0.2  # of its finite step, that a parameter may move: two of the ten sigmas over which it is taken (`steps.SPAN`); from one
+# side alone a difference is off by as much as half a step away
+AMONG_OTHERS = 20.0  # sigmas that all else may move: straight are signatures within 50 (`signatures.WANTED`), and what is two
+# fifths of that away bends a column by less than the finite steps do
+SHORTER, LONGER = 0.9, 2.0  # of the step wanted, within which that of a remembered column is as good (`steps.are_alike`)
+
+
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """The free parameters of one effect at a point, and by what its columns are known."""
+
+    effect: Effect
+    free: tuple[Parameter, ...]
+    key: Hashable
+    values: Float
+
+
+def effect_slopes(
+    problem: Problem, point: Point, free: Sequence[Parameter], focus: Sequence[Parameter], *, both_sides: bool, anew: bool
+) -> dict[str, Float]:
+    """Raw derivatives (metrics,) by parameters of effects, by label; those that were taken near by are taken from there.
+
+    What draws numbers, and what moves focus, is differenced at its place each time, and everything if it is to be ``anew``.
+    """
+    if not free:
+        return {}
+    wanted = _by_effect(point.model, free, focus)
+    steady = [w for w in wanted if w.effect.random == "none" and not moves_focus(w.effect)]
+    here = _seen_from(problem, point) if steady else np.zeros(0)
+    known = {} if anew else {w.key: problem.effects[w.key] for w in steady if _holds(problem, w, here, both_sides)}
+    missing = [w for w in wanted if w.key not in known]
+    own = [f for w in missing for f in w.free]
+    out = dict(zip((f.label for f in own), slopes(problem, point, own, both_sides, focus), strict=True))
+    for w in missing:
+        if w in steady:
+            columns, steps = np.column_stack([out[f.label] for f in w.free]), np.array([f.step for f in w.free])
+            problem.effects[w.key] = Taken(columns, w.values, steps, here, both_sides)
+    for w in wanted:
+        if w.key in known:
+            out |= dict(zip((f.label for f in w.free), problem.effects[w.key].slopes.T, strict=True))
+    return out
+
+
+def _by_effect(model: CameraModel, free: Sequence[Parameter], focus: Sequence[Parameter]) -> list[_Wanted]:
+    groups: dict[str, list[Parameter]] = {}
+    for f in free:
+        groups.setdefault(f.owner, []).append(f)
+    out = []
+    for owner, own in groups.items():
+        effect = next(e for e in model.effects if e.name == owner)
+        values = {f.name: model.value(f.label) for f in own}
+        form = tuple(item for item in effect.content() if not (isinstance(item, tuple) and item[0] in values))
+        key = (form, tuple(values), tuple(f.label for f in focus))
+        out.append(_Wanted(effect, tuple(own), key, np.array(list(values.values()))))
+    return out
+
+
+def _seen_from(problem: Problem, point: Point) -> Float:
+    (vector,) = problem.predictor.derivative_vectors([point], problem.seeds[:1])
+    return vector
+
+
+def _holds(problem: Problem, wanted: _Wanted, here: Float, both_sides: bool) -> bool:
+    """Whether remembered columns of an effect are as good as those of this place."""
+    taken = problem.effects.get(wanted.key)
+    if taken is None or (both_sides and not taken.both_sides):
+        return False
+    ratio = taken.steps / np.array([f.step for f in wanted.free])
+    if np.any(ratio < SHORTER) or np.any(ratio > LONGER):
+        return False
+    if np.any(np.abs(wanted.values - taken.values) > NEAR * taken.steps):
+        return False
+    return bool(np.linalg.norm(problem.whitened(np.nan_to_num(here - taken.here))) < AMONG_OTHERS)

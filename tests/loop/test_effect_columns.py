@@ -1,0 +1,109 @@
+"""Derivatives by effects are remembered where they were taken, and taken anew where they no longer hold."""
+
+import numpy as np
+import pytest
+
+from isetval import simulate
+from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.scene import Spectrum
+from isetval.core.sensor import Exposure
+from isetval.loop import effect_columns
+from isetval.loop.candidates import candidates_for
+from isetval.loop.derivatives import jacobian, nuisance_parameters
+from isetval.loop.prediction import Point
+from isetval.loop.prepared import prepare
+
+LEVEL = "light_level@set-up:flat"
+STEP = 0.01
+
+
+@pytest.fixture(scope="module")
+def problem(model, tmp_path_factory):
+    shared = {"light": "sphere", "frames": 2, "window": (1464, 1968, 32, 32)}
+    shots = tuple(Shot(f"flat{t:g}", "flat", exposure=Exposure(t), setup="flat", **shared) for t in (0.004, 0.008))
+    level = Nuisance("light_level", 0.02, "relative", "set-up")
+    light = Light("sphere", Spectrum.flat(0.004))
+    plan = Campaign("p", shots, lights={"sphere": light}, nuisances=(level,), sensor=model.sensor)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ISETVAL_CACHE", str(tmp_path_factory.mktemp("cache")))
+        with prepare(model, simulate(model, plan, seed=3)) as ready:
+            yield ready.problem
+
+
+@pytest.fixture
+def taken(problem, monkeypatch):
+    """Labels of what was differenced, as it is."""
+    problem.effects.clear()
+    out = []
+
+    def counted(problem, point, wanted, *more):
+        out.extend(f.label for f in wanted)
+        return real(problem, point, wanted, *more)
+
+    real = effect_columns.slopes
+    monkeypatch.setattr(effect_columns, "slopes", counted)
+    return out
+
+
+def candidate(model, name):
+    return next(c for c in candidates_for(model) if c.name == name)
+
+
+def columns(problem, *members, values=None, **how):
+    """The Jacobian of nuisances and of (candidate, value)s, with steps of `STEP`."""
+    point = problem.nominal
+    for member, value in members:
+        point = point.with_effect(member.effect).with_values({member.keys[0]: value})
+    free = nuisance_parameters(problem.plan, problem.nominal)
+    own = [p for member, _ in members for p in member.free([STEP] * len(member.keys))]
+    return jacobian(problem, Point(point, values or {}), (*free, *own), **how)
+
+
+def test_near_by_nothing_is_differenced_again(model, problem, taken):
+    bent = candidate(model, "nonlinearity")
+    first = columns(problem, (bent, 0.02), both_sides=True)
+    assert taken
+    taken.clear()
+    again = columns(problem, (bent, 0.02 + 0.1 * STEP))
+    assert not taken
+    np.testing.assert_array_equal(again[:, -1], first[:, -1])
+
+
+def test_what_stands_is_shared_by_hypotheses_that_hold_it(model, problem, taken):
+    bent, gain = candidate(model, "nonlinearity"), candidate(model, "digital_gain")
+    alone = columns(problem, (bent, 0.02), both_sides=True)
+    taken.clear()
+    beside = columns(problem, (bent, 0.02), (gain, 1.0005), both_sides=True)
+    assert taken == list(gain.keys)
+    fresh = columns(problem, (bent, 0.02), (gain, 1.0005), both_sides=True, stale=0.0)
+    np.testing.assert_array_equal(beside[:, 1], alone[:, 1])
+    assert np.linalg.norm(beside[:, 1] - fresh[:, 1]) < 0.01 * np.linalg.norm(fresh[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("value", "level", "how"),
+    [(0.02 + 0.5 * STEP, 0.0, {}), (0.02, 0.1, {}), (0.02, 0.0, {"stale": 0.0})],
+    ids=["moved", "other light", "anew"],
+)
+def test_it_is_taken_anew_where_it_may_not_hold(model, problem, taken, value, level, how):
+    bent = candidate(model, "nonlinearity")
+    columns(problem, (bent, 0.02), both_sides=True)
+    taken.clear()
+    columns(problem, (bent, value), values={LEVEL: level} if level else None, **how)
+    assert taken == list(bent.keys)
+
+
+def test_a_difference_from_one_side_is_no_central_one(model, problem, taken):
+    bent = candidate(model, "nonlinearity")
+    columns(problem, (bent, 0.02))
+    taken.clear()
+    columns(problem, (bent, 0.02), both_sides=True)
+    assert taken == list(bent.keys)
+
+
+def test_what_draws_numbers_is_differenced_each_time(model, problem, taken):
+    noise = candidate(model, "row_fpn")
+    columns(problem, (noise, 0.02), both_sides=True)
+    taken.clear()
+    columns(problem, (noise, 0.02), both_sides=True)
+    assert taken == list(noise.keys)
