@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.errors import InputError
-from isetval.core.metric import MetricTable
+from isetval.core.metric import Metric, MetricTable
 from isetval.loop.base import Base
 from isetval.loop.block_factor import UNWEIGHED, factor, gram
 from isetval.loop.gaussian import towards_one, true_scatter
@@ -22,7 +22,10 @@ from isetval.loop.shoulder import filling
 
 Float = NDArray[np.float64]
 HOLDS = 1.0  # sigmas of a row: of variances 3 % in flats of 1600 pixels a plane, a third of what weights are known to
-LEVEL_HOLDS = 10.0  # sigmas of the mean of such a plane, where its variances hold: less than 1 % of the light and of its noise
+LEVEL_HOLDS = (
+    10.0  # sigmas of a level, where variances hold, and of a contrast: less than 1 % of the light of such a plane and 14 %
+)
+# of an MTF.  Replicas that were moved there have means and error bars that differ from new ones by no more than 16 of them tell
 
 
 def make_problem(
@@ -74,27 +77,33 @@ def make_problem(
 def _that_hold(predictor: Predictor, anchor: Float, seeds: tuple[int, ...], near: Problem) -> dict[str, Replicas]:
     """Replicas of shots whose rows stand within `HOLDS` sigmas of where they were simulated: weights and scatter are the same.
 
-    Levels of darks and flats (means, and what is linear in them: gradients, drifts) may stand `LEVEL_HOLDS` off.
+    Levels (means, and what is linear in them: gradients, drifts) and contrasts of edges may stand `LEVEL_HOLDS` off: new replicas
+    would bring new noise.
     A mean over pixels does not feel their noise: shots in which it is not measured hold only where noise does in all those in
     which it is.  A flat that is a little brighter is no noisier.
     """
     sigma = np.sqrt(np.diag(near.base.covariance))
-    of_noise = np.array([m.unit != "DN" for m in predictor.table.metrics], bool)  # variances and counts
+    of_noise = np.array([not _is_steady(m) for m in predictor.table.metrics], bool)
     limit = sigma * np.where(of_noise, HOLDS, LEVEL_HOLDS)
+    unweighed = ~np.isfinite(sigma)  # lost in a replica, as those of a plane that fills up are: they tell nothing of the noise
 
     def rows_that_hold(name: str) -> NDArray[np.bool_]:
         own, rows = near.replicas[name], predictor.rows[name]
         off = np.abs(anchor[rows] - own.anchor)
-        lost = np.isnan(anchor[rows]) & np.isnan(own.anchor)
-        allowed = HOLDS * sigma[rows] if predictor.differences[name].one_frame else limit[rows]
-        return np.asarray((own.seeds == seeds) & (lost | (off <= allowed)))
+        lost = np.isnan(anchor[rows]) & np.isnan(own.anchor) | unweighed[rows] & (off == 0)
+        return np.asarray((own.seeds == seeds) & (lost | (off <= limit[rows])))
 
     known = {shot.name: rows_that_hold(shot.name) for shot in predictor.shots if shot.name in near.replicas}
-    noisy = [
-        bool(np.all(own | ~of_noise[predictor.rows[n]])) for n, own in known.items() if not predictor.differences[n].one_frame
-    ]
+    tells = of_noise & ~unweighed
+    noisy = [bool(np.all(own | ~tells[predictor.rows[n]])) for n, own in known.items() if not predictor.differences[n].one_frame]
     quiet = bool(noisy) and all(noisy)
     return {n: near.replicas[n] for n, own in known.items() if own.all() and (quiet or not predictor.differences[n].one_frame)}
+
+
+def _is_steady(m: Metric) -> bool:
+    """Whether a row is a level, a contrast or a place: it scatters by noise, of which other rows tell, and not by itself."""
+    level = m.unit == "DN" and not any(word in m.family for word in ("noise", "std"))
+    return level or m.unit == "px" or m.frequency_cy_px is not None
 
 
 def _moved(replicas: Replicas, anchor: Float) -> Sampled:

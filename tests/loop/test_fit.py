@@ -13,13 +13,13 @@ from isetval.core.parameter import Parameter
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.derivatives import jacobian, take_finer
-from isetval.loop.slopes import difference_of_both
 from isetval.loop.family_scales import dof_of
 from isetval.loop.fit import far_values, fit, moved_far
 from isetval.loop.fit_state import FitState, walked
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
+from isetval.loop.slopes import difference_of_both
 from isetval.loop.valleys import deepest
 
 STOPS_UM = np.array([-8.0, 0.0, 8.0])

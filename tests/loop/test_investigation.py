@@ -15,7 +15,6 @@ from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.slopes import slopes
 from isetval.loop.evidence import hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.hold_out import ask_holdout, likely_in_both
@@ -28,6 +27,7 @@ from isetval.loop.score_test import make_frame
 from isetval.loop.search import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed
 from isetval.loop.shortlist import _proposals, of_several_classes
 from isetval.loop.signatures import Signature
+from isetval.loop.slopes import slopes
 from isetval.loop.steps import first_steps
 from isetval.loop.telling import Deadline
 from isetval.loop.verdict import stopped_account

@@ -12,9 +12,9 @@ from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.loop.derivatives import nuisance_parameters
-from isetval.loop.slopes import slopes
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
+from isetval.loop.slopes import slopes
 
 LAMP = Light("lamp", Spectrum(np.array([390.0, 710.0]), np.array([0.002, 0.004])))
 STATED = {"a": 0.5, "b": 0.3, "c": 0.1}

@@ -131,6 +131,20 @@ def test_replicas_of_a_little_more_light_hold(model, plan, longer_ms, kept):
         assert {name for name, own in found.replicas.items() if own is near.replicas[name]} == kept
 
 
+def test_replicas_of_a_little_more_blur_hold(model, plan):
+    """A contrast some sigmas off scatters as before: new replicas have another mean by what sixteen of them tell, and no more."""
+    with prepare(model, simulate(model, plan, 1)) as prepared:
+        near, predictor = prepared.problem, prepared.problem.predictor
+        blurred = Point(model.with_values({"pixel_aperture.width_px": model.value("pixel_aperture.width_px") + 0.05}))
+        found, anew = make_problem(predictor, blurred, near=[near]), make_problem(predictor, blurred)
+        assert all(own is near.replicas[name] for name, own in found.replicas.items())
+        rows = predictor.rows["edge"]
+        sigma, own = (np.sqrt(np.diag(p.base.covariance))[rows] for p in (anew, found))
+        assert np.nanmax(np.abs(found.anchor - near.anchor)[rows] / sigma) > 2 * HOLDS
+        assert np.nanmax(np.abs(found.base.mean - anew.base.mean)[rows] / sigma) < 4 * np.sqrt(2 / found.base.replicas)
+        assert np.nanmedian(np.abs(np.log(own / sigma))) < 0.1
+
+
 @pytest.mark.parametrize("kind", ["normal", "uniform"])
 def test_common_random_numbers_are_those_that_are_drawn(model, kind):
     place = Context(model.sensor, (0, 0, 8, 10), shot="s", seed=3, mode="derivative").for_effect("read_noise", 0)
