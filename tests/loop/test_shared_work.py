@@ -19,6 +19,7 @@ from isetval.loop.weighing import HOLDS, make_problem
 from isetval.measure.campaign import measure_campaign
 from isetval.measure.noise.code_density import LEAST_CODES, LEAST_COUNTS, code_widths
 
+FULL_S = 0.0206  # one plane of the flat fills up in some of the replicas
 LIT = {"frames": 3, "light": "sphere", "window": (1464, 1968, 48, 48)}
 
 
@@ -143,6 +144,20 @@ def test_replicas_of_a_little_more_blur_hold(model, plan):
         assert np.nanmax(np.abs(found.anchor - near.anchor)[rows] / sigma) > 2 * HOLDS
         assert np.nanmax(np.abs(found.base.mean - anew.base.mean)[rows] / sigma) < 4 * np.sqrt(2 / found.base.replicas)
         assert np.nanmedian(np.abs(np.log(own / sigma))) < 0.1
+
+
+@pytest.mark.parametrize("later_ms", [0.0, 1e-3], ids=["as bright", "a little brighter"])
+def test_a_plane_that_fills_up_has_no_say_in_whether_replicas_of_edges_hold(model, plan, later_ms):
+    """Its noise has no error bar: neither is a change of nothing below that, nor does it tell of the noise of others."""
+    full = replace(plan, shots=(*plan.shots, Shot("full", "flat", exposure=Exposure(FULL_S), **LIT)))
+    with prepare(model, simulate(model, full, 1)) as prepared:
+        near, predictor = prepared.problem, prepared.problem.predictor
+        assert not np.isfinite(np.diag(near.base.covariance)[predictor.rows["full"]]).all()
+        blurred = Point(model.with_values({"pixel_aperture.width_px": model.value("pixel_aperture.width_px") + 0.05}))
+        later = Point(blurred.model.add(catalogue()["exposure_time"](offset_ms=later_ms)))
+        found = make_problem(predictor, later, near=[near])
+        kept = {name for name, own in found.replicas.items() if own is near.replicas[name]}
+        assert kept == {"long", "short", "flat", "edge"} | (set() if later_ms else {"full"})
 
 
 @pytest.mark.parametrize("kind", ["normal", "uniform"])
