@@ -119,13 +119,13 @@ class SpdMismatch(Effect):
 class PositionScale(Effect):
     """Light on a chart that depends on where the camera sees it: one smooth factor per field position.
 
-    Confounded with vignetting and a gradient of the light; the same patch at two positions tells.
+    Confounded with vignetting and a gradient of the light, which edges tell of; the same patch at two positions tells.
     """
 
     name = "position_scale"
     stage = "scene"
     order = 14.0
-    absent = "targets that stay where they are while the camera turns"
+    absent = "targets that stay where they are while the camera turns; edges, which are another target than the chart"
     imitated_by = (
         "vignetting",
         "cos4",
@@ -135,15 +135,15 @@ class PositionScale(Effect):
     free = FreeAxis("field radius", "strength", 0.5)
     equation = "L x (1 + a x + b y + c r^2) at the middle of the window, in half diagonals"
     reference = "second-order expansion of the light over set-ups"
-    must_not_change = ("dark", "flat", "illumination")
+    must_not_change = ("dark", "flat", "edge", "illumination")
 
     a: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.02, doc="rise along x")
     b: float = parameter(0.0, unit="1/half diagonal", low=-0.9, high=0.9, tau=0.02, doc="rise along y")
     c: float = parameter(0.0, unit="1", low=-0.9, high=0.9, tau=0.03, doc="rise at the corner")
 
     def apply_scene(self, scene: Scene, context: Context) -> Scene:
-        """Scale the light of shots with a target."""
-        if scene.target is None:
+        """Scale the light of shots of a chart."""
+        if scene.target is None or isinstance(scene.target, EdgeTarget):
             return scene
         x, y = field_point(context)
         return scene.with_white(max(0.0, 1 + self.a * x + self.b * y + self.c * (x * x + y * y)))

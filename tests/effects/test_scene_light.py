@@ -100,6 +100,7 @@ def test_light_level_by_field_position_leaves_flats_alone(place):
     scaled = effect.apply_scene(CHART, corner).white / CHART.white
     np.testing.assert_allclose(scaled, 1 + 0.1 * x + 0.2 * (x * x + y * y))
     assert effect.apply_scene(FLAT, corner) is FLAT
+    assert effect.apply_scene(EDGE, corner) is EDGE  # another target, which the chart's lamp does not light
 
 
 def test_black_that_reflects_lifts_the_dark_side_only(place):
