@@ -19,6 +19,8 @@ from isetval.loop.secants import may_step, profiled, secants, still_shows
 Float = NDArray[np.float64]
 STRONG = 80.0  # sigmas of a secant beyond which it is taken again closer to the null: the metrics bend before that
 WANTED = 50.0  # sigmas of the new secant: far above the noise of common random numbers, well inside the linear range
+SEEN = 0.2  # of `WANTED`, from which a shorter step is taken though it shows less than half as much per unit: what goes as the
+# square, and a little with its sign (a spherical aberration of 6 sigmas had 1.3 along a secant of 750), is no tail of noise
 ODD = 0.33  # share of a secant of `WANTED` sigmas that turns its sign with the parameter: at 8 sigmas it is as long as the rest,
 # which goes as the square
 STAIRS = (0.5, 1.0, 1.5, 2.0)
@@ -60,18 +62,25 @@ def signatures(
     _other_side(problem, point, wanted, steps, columns)
     past_the_onset(problem, point, wanted, steps, columns)
     wanted = where_it_shows(problem, point, wanted, steps, columns)
+    bent: set[int] = set()
     for _ in range(2):
         again, before = [], (list(steps), list(columns))
         for i, white in enumerate(profiled(problem, [c * s for c, s in zip(columns, steps, strict=True)], project)):
             length = np.linalg.norm(white, axis=0)
             if np.any(length > STRONG):
-                steps[i] = _closer(wanted[i], steps[i], length)
+                steps[i] = _closer(wanted[i], steps[i], length, bends=i in bent)
                 again.append(i)
         if not again:
             break
         for i, column in zip(again, secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
-            seen = still_shows(*problem.whitened_each([column, before[1][i]]))
-            columns[i], steps[i] = (column, steps[i]) if seen else (before[1][i], before[0][i])
+            (white,) = profiled(problem, [column * steps[i]], project)
+            seen = _is_plain(np.linalg.norm(white, axis=0), steps[i], before[0][i])
+            seen = seen or still_shows(*problem.whitened_each([column, before[1][i]]))
+            if not seen:
+                columns[i], steps[i] = before[1][i], before[0][i]
+                bent.add(i)
+            else:
+                columns[i] = column
     _without_what_is_even(problem, point, wanted, steps, columns, project, focus)
     wanted = [replace(c, code_steps=code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     _over_stairs(problem, point, wanted, steps, columns)
@@ -116,14 +125,20 @@ def _profiled_steps(
     return {i: np.linalg.norm(w, axis=0) for i, w in zip(some, white, strict=True)}
 
 
-def _closer(candidate: Candidate, steps: Float, length: Float) -> Float:
+def _closer(candidate: Candidate, steps: Float, length: Float, *, bends: bool = False) -> Float:
     """Steps of secants of such lengths in sigmas (parameters,), halved as often as it takes to come near `WANTED`.
 
+    What is random goes as the square, and what ``bends`` may: a step that was halved more often showed too little of it.
     Steps that follow the data would find nothing in the store.
     """
     ratio = WANTED / np.maximum(length, 1e-9)
-    wanted = ratio if candidate.effect.random == "none" else np.sqrt(ratio)
+    wanted = np.sqrt(ratio) if bends or candidate.effect.random != "none" else ratio
     return np.asarray(steps * np.where(length > STRONG, 2.0 ** np.round(np.log2(wanted)), 1.0))
+
+
+def _is_plain(length: Float, steps: Float, longer: Float) -> bool:
+    """Whether one of the steps that were shortened is so long in sigmas (parameters,) that what it shows is no tail of noise."""
+    return bool(np.any(length[steps != longer] > SEEN * WANTED))
 
 
 def _shorten_by_small_shots(
@@ -144,17 +159,24 @@ def _shorten_by_small_shots(
 
     todo, before = list(range(len(wanted))), list(steps)
     longer: dict[int, Float] = {}
-    for _ in range(SHORTENED):
+    far: dict[int, Float] = {}
+    bent: set[int] = set()
+    for turn in range(SHORTENED):
         columns = secants(problem, point, [wanted[i] for i in todo], [steps[i] for i in todo], only=small)
         again = []
         for i, column, all_rows in zip(todo, columns, problem.whitened_each(columns), strict=True):
             white = all_rows[shots]
             lengths = length(white * steps[i])
-            if not (still_shows(white, longer[i]) if i in longer else column.any()):
+            seen = column.any() if i not in longer else _is_plain(lengths, steps[i], before[i]) or still_shows(white, longer[i])
+            if not seen:
                 steps[i] = before[i]
+                if i in far and i not in bent and turn + 1 < SHORTENED:
+                    bent.add(i)
+                    steps[i] = _closer(wanted[i], steps[i], far[i], bends=True)
+                    again.append(i)
             elif np.any(lengths > STRONG):
-                longer[i] = white
-                before[i], steps[i] = steps[i], _closer(wanted[i], steps[i], lengths)
+                longer[i], far[i] = white, lengths
+                before[i], steps[i] = steps[i], _closer(wanted[i], steps[i], lengths, bends=i in bent)
                 again.append(i)
         todo = again
 

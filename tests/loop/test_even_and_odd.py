@@ -62,3 +62,12 @@ def test_of_what_is_even_the_secant_stays(model):
     """Both sides of a square cancel: nothing would be seen of it at all."""
     _, signature = made(model, slope=0.0, square=20000.0)
     assert signature.columns[1, 0] == pytest.approx(20000 * signature.steps[0])
+
+
+@pytest.mark.parametrize("small", [frozenset(), frozenset({""})], ids=["all shots", "small shots first"])
+def test_what_is_mostly_square_within_its_prior_is_asked_where_its_slope_counts(model, monkeypatch, small):
+    """Over a prior's width the square is four times the slope, and a step that is a sixteenth shows a quarter per unit."""
+    monkeypatch.setattr(TwoFoci, "small_shots", lambda *_: small)
+    problem, signature = made(model, slope=2000.0, square=80000.0, waves=0.0025)
+    found = score(make_frame(fit(problem, problem.origin, ())), problem.whitened(signature.columns))
+    assert found.dchi2 == pytest.approx(25.0, rel=0.02)
