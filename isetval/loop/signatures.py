@@ -74,11 +74,11 @@ def signatures(
             break
         for i, column in zip(again, secants(problem, point, [wanted[i] for i in again], [steps[i] for i in again]), strict=True):
             (white,) = profiled(problem, [column * steps[i]], project)
-            seen = _is_plain(np.linalg.norm(white, axis=0), steps[i], before[0][i])
+            seen = _is_plain(wanted[i], np.linalg.norm(white, axis=0), steps[i], before[0][i])
             seen = seen or still_shows(*problem.whitened_each([column, before[1][i]]))
             if not seen:
                 columns[i], steps[i] = before[1][i], before[0][i]
-                bent.add(i)
+                bent |= set() if wanted[i].effect.whole_codes else {i}
             else:
                 columns[i] = column
     _without_what_is_even(problem, point, wanted, steps, columns, project, focus)
@@ -136,9 +136,12 @@ def _closer(candidate: Candidate, steps: Float, length: Float, *, bends: bool = 
     return np.asarray(steps * np.where(length > STRONG, 2.0 ** np.round(np.log2(wanted)), 1.0))
 
 
-def _is_plain(length: Float, steps: Float, longer: Float) -> bool:
-    """Whether one of the steps that were shortened is so long in sigmas (parameters,) that what it shows is no tail of noise."""
-    return bool(np.any(length[steps != longer] > SEEN * WANTED))
+def _is_plain(candidate: Candidate, length: Float, steps: Float, longer: Float) -> bool:
+    """Whether one of the steps that were shortened is so long in sigmas (parameters,) that what it shows is no tail of noise.
+
+    What rounds codes anew shows little of itself in less than a code, however plain that is.
+    """
+    return not candidate.effect.whole_codes and bool(np.any(length[steps != longer] > SEEN * WANTED))
 
 
 def _shorten_by_small_shots(
@@ -167,10 +170,14 @@ def _shorten_by_small_shots(
         for i, column, all_rows in zip(todo, columns, problem.whitened_each(columns), strict=True):
             white = all_rows[shots]
             lengths = length(white * steps[i])
-            seen = column.any() if i not in longer else _is_plain(lengths, steps[i], before[i]) or still_shows(white, longer[i])
+            seen = (
+                column.any()
+                if i not in longer
+                else _is_plain(wanted[i], lengths, steps[i], before[i]) or still_shows(white, longer[i])
+            )
             if not seen:
                 steps[i] = before[i]
-                if i in far and i not in bent and turn + 1 < SHORTENED:
+                if i in far and i not in bent and turn + 1 < SHORTENED and not wanted[i].effect.whole_codes:
                     bent.add(i)
                     steps[i] = _closer(wanted[i], steps[i], far[i], bends=True)
                     again.append(i)
