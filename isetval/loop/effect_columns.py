@@ -72,8 +72,10 @@ def _by_effect(model: CameraModel, free: Sequence[Parameter], focus: Sequence[Pa
     for owner, own in groups.items():
         effect = next(e for e in model.effects if e.name == owner)
         values = {f.name: model.value(f.label) for f in own}
+        # all that is held: what does nothing here (the place of a line of no height) says how the effect starts to act
+        held = tuple(item for item in effect.values().items() if item[0] not in values)
         form = tuple(item for item in effect.content() if not (isinstance(item, tuple) and item[0] in values))
-        key = (form, tuple(values), tuple(f.label for f in focus))
+        key = (form, held, tuple(values), tuple(f.label for f in focus))
         out.append(_Wanted(effect, tuple(own), key, np.array(list(values.values()))))
     return out
 

@@ -93,6 +93,16 @@ def test_it_is_taken_anew_where_it_may_not_hold(model, problem, taken, value, le
     assert taken == list(bent.keys)
 
 
+def test_forms_that_are_one_at_the_null_have_derivatives_of_their_own(model, problem, taken):
+    """A line of no height is nowhere, and grows at its place."""
+    lines = [c for c in candidates_for(model) if c.klass == "spd_mismatch" and not c.effect.light][:2]
+    assert lines[0].effect.content() == lines[1].effect.content()
+    spike = lines[0].keys.index("spd_mismatch.spike")
+    slopes = [columns(problem, (line, 0.0))[:, 1 + spike] for line in lines]
+    assert taken == [*lines[0].keys, *lines[1].keys]
+    assert not np.allclose(*slopes)
+
+
 def test_a_difference_from_one_side_is_no_central_one(model, problem, taken):
     bent = candidate(model, "nonlinearity")
     columns(problem, (bent, 0.02))
