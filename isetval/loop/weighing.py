@@ -22,10 +22,9 @@ from isetval.loop.shoulder import filling
 
 Float = NDArray[np.float64]
 HOLDS = 1.0  # sigmas of a row: of variances 3 % in flats of 1600 pixels a plane, a third of what weights are known to
-LEVEL_HOLDS = (
-    10.0  # sigmas of a level, where variances hold, and of a contrast: less than 1 % of the light of such a plane and 14 %
-)
-# of an MTF.  Replicas that were moved there have means and error bars that differ from new ones by no more than 16 of them tell
+# sigmas of a level or a contrast, where variances hold: less than 1 % of the light of such a plane, 14 % of an MTF.  Replicas
+# that were moved there have means and error bars that differ from new ones by no more than 16 of them tell
+LEVEL_HOLDS = 10.0
 
 
 def make_problem(
