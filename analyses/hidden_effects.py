@@ -77,7 +77,11 @@ def _options(words):
     parser.add_argument(
         "--seeds", choices=("development", "scoring"), default="scoring", help="a rule is changed on the first only"
     )
-    parser.add_argument("--names", default="", help="effects by name in their practical strength, in place of drawn trials")
+    parser.add_argument(
+        "--names",
+        default="",
+        help="effects by name in their practical strength, in place of drawn trials; or those to --calibrate anew",
+    )
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time (default: %(default)s)")
     parser.add_argument("--limit-s", type=float, default=900.0, help="wall seconds that a trial may take (default: %(default)s)")
     parser.add_argument("--no-oracle", action="store_true", help="leave out the held-out comparison with the true model")

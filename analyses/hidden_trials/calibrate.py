@@ -100,6 +100,8 @@ def s_at_one(calibration, concealed):
 
 def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print):
     """Measure s at strength 1 of all that shows in a plan; writes after each, so that a killed run loses one."""
+    if unknown := set(names) - {c.key for c in ALL.values() if visible(c, plan)}:
+        raise SystemExit(f"--names: {unknown.pop()} is nothing that shows in the plan {plan}; see isetval/testing/foreign_camera")
     known = json.loads(Path(path).read_text(encoding="utf-8")) if Path(path).is_file() else {}
     own = known.setdefault(f"{plan}/{lens}", {})
     wanted = [c for c in ALL.values() if visible(c, plan) and (c.key in names or (not names and c.key not in own))]

@@ -267,8 +267,7 @@ def _at_its_own_weights(case: Investigation, found: Hypothesis) -> Hypothesis:
     """
     model = named_model(case.prepared.model, found)
     problem = case.prepared.problem_for(model, seeds=draws_of(found.members), values=far_values(found.fitted))
-    problem.columns.update(case.problem.columns)
-    problem.effects.update(case.problem.effects)
+    problem.take_over(case.problem)
     free = with_steps(found.fitted.free, found.members, found.values)
     fitted = fitted_members(problem, found.members, Point(model, found.fitted.point.values), free, pose=found.fitted.pose)
     own = hypothesis(problem, found.members, fitted)

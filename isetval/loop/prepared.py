@@ -64,7 +64,7 @@ class Prepared:
         if key not in self.problems:
             near = (self.problem, *self.problems.values())
             self.problems[key] = made = make_problem(self.problem.predictor, Point(model, values or {}), seeds=seeds, near=near)
-            made.columns.update(self.problem.columns)  # they are taken anew where a fit moves away from where these were
+            made.take_over(self.problem)
         return self.problems[key]
 
     def stands_for(self, model: CameraModel, problem: Problem, values: Mapping[str, float]) -> None:

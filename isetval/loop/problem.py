@@ -116,6 +116,11 @@ class Problem:
         """A row that cannot be measured at a point (a plane that saturates there) keeps the prediction of the origin."""
         return np.asarray(self.base.mean + np.nan_to_num(vector - self.anchor))
 
+    def take_over(self, other: Problem) -> None:
+        """Know the derivatives that another problem of the same rows knows; where they no longer hold they are taken anew."""
+        self.columns.update(other.columns)
+        self.effects.update(other.effects)
+
     def with_draws(self, seeds: tuple[int, ...]) -> Problem:
         """The same with differences taken over more draws; what is known of its derivatives is shared."""
         if len(seeds) <= len(self.seeds):

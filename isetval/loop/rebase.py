@@ -31,8 +31,7 @@ def rebase(case: Investigation, say: Say) -> None:
         say("simulating the plan with the effects named so far")
         before = case.fitted
         problem = case.prepared.problem_for(model, seeds=seeds, values=far_values(before))
-        problem.columns.update(case.problem.columns)
-        problem.effects.update(case.problem.effects)
+        problem.take_over(case.problem)
         case.problem = problem
         free = with_steps(before.free, standing.members, case.standing.values)
         fitted = fitted_members(problem, standing.members, Point(model, before.point.values), free, pose=before.pose)

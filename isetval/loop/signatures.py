@@ -19,8 +19,8 @@ from isetval.loop.secants import may_step, profiled, secants, still_shows
 Float = NDArray[np.float64]
 STRONG = 80.0  # sigmas of a secant beyond which it is taken again closer to the null: the metrics bend before that
 WANTED = 50.0  # sigmas of the new secant: far above the noise of common random numbers, well inside the linear range
-SEEN = 0.2  # of `WANTED`, from which a shorter step is taken though it shows less than half as much per unit: what goes as the
-# square, and a little with its sign (a spherical aberration of 6 sigmas had 1.3 along a secant of 750), is no tail of noise
+SEEN = 0.2  # of `WANTED`, from which a shorter step is taken though it shows less than half as much per unit: it is twice as long
+# as the noise of common random numbers, and no tail at a threshold (what goes as the square, and a little with its sign)
 ODD = 0.33  # share of a secant of `WANTED` sigmas that turns its sign with the parameter: at 8 sigmas it is as long as the rest,
 # which goes as the square
 STAIRS = (0.5, 1.0, 1.5, 2.0)
@@ -78,7 +78,7 @@ def signatures(
             seen = seen or still_shows(*problem.whitened_each([column, before[1][i]]))
             if not seen:
                 columns[i], steps[i] = before[1][i], before[0][i]
-                bent |= set() if wanted[i].effect.whole_codes else {i}
+                bent.add(i)
             else:
                 columns[i] = column
     _without_what_is_even(problem, point, wanted, steps, columns, project, focus)
@@ -128,11 +128,12 @@ def _profiled_steps(
 def _closer(candidate: Candidate, steps: Float, length: Float, *, bends: bool = False) -> Float:
     """Steps of secants of such lengths in sigmas (parameters,), halved as often as it takes to come near `WANTED`.
 
-    What is random goes as the square, and what ``bends`` may: a step that was halved more often showed too little of it.
-    Steps that follow the data would find nothing in the store.
+    What is random goes as the square, and what ``bends`` may: a step that was halved more often showed too little of it.  What
+    rounds codes anew goes in stairs.  Steps that follow the data would find nothing in the store.
     """
     ratio = WANTED / np.maximum(length, 1e-9)
-    wanted = np.sqrt(ratio) if bends or candidate.effect.random != "none" else ratio
+    squared = candidate.effect.random != "none" or (bends and not candidate.effect.whole_codes)
+    wanted = np.sqrt(ratio) if squared else ratio
     return np.asarray(steps * np.where(length > STRONG, 2.0 ** np.round(np.log2(wanted)), 1.0))
 
 
@@ -162,7 +163,6 @@ def _shorten_by_small_shots(
 
     todo, before = list(range(len(wanted))), list(steps)
     longer: dict[int, Float] = {}
-    far: dict[int, Float] = {}
     bent: set[int] = set()
     for turn in range(SHORTENED):
         columns = secants(problem, point, [wanted[i] for i in todo], [steps[i] for i in todo], only=small)
@@ -177,12 +177,12 @@ def _shorten_by_small_shots(
             )
             if not seen:
                 steps[i] = before[i]
-                if i in far and i not in bent and turn + 1 < SHORTENED and not wanted[i].effect.whole_codes:
+                if i in longer and i not in bent and turn + 1 < SHORTENED:
                     bent.add(i)
-                    steps[i] = _closer(wanted[i], steps[i], far[i], bends=True)
+                    steps[i] = _closer(wanted[i], steps[i], length(longer[i] * steps[i]), bends=True)
                     again.append(i)
             elif np.any(lengths > STRONG):
-                longer[i], far[i] = white, lengths
+                longer[i] = white
                 before[i], steps[i] = steps[i], _closer(wanted[i], steps[i], lengths, bends=i in bent)
                 again.append(i)
         todo = again

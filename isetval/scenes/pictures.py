@@ -27,7 +27,7 @@ COUNTS = (1, 2, 3, 4, 5, 7, 9, 13, 17, 25)
 TOLERANCE = 1e-6
 """Of the largest part of a picture of labels, what is left out.  Errors are of the brightest spectra, and a dark colour under a
 lamp with lines has some thousandth of those in a channel: at 1e-4 it was off by more than a chart's means are known to."""
-BLOCK = 1 << 14  # numbers of each part at a time: some 3 MB of forty parts, twice as fast as all at once
+BLOCK = 1 << 14  # numbers of each part at a time: 5 MB of forty parts, and no copy of all in twice the precision
 KEEP_BYTES = 300_000_000  # of each kind, in each process: five windows of a rendered chart
 _BLURRED: OrderedDict[str, Float] = OrderedDict()
 _LABELLED: OrderedDict[str, SpectralPicture] = OrderedDict()
