@@ -229,18 +229,31 @@ class Remembered:
 
 
 _further_code: set[Path] = set()
+ABOVE = ("app", "testing")  # rooms that none below imports, which the contracts of pyproject.toml check: no simulation runs them
 
 
 def add_code(path: Path) -> None:
     """Count a file of code that is not the package's own (a plugin) as part of what makes numbers."""
     _further_code.add(path.resolve())
     code_hash.cache_clear()
+    simulation_hash.cache_clear()
 
 
 @lru_cache(maxsize=1)
 def code_hash() -> str:
-    """SHA-256 of the source, the package's and `add_code`'s: a changed line of code makes all stored numbers stale."""
+    """SHA-256 of the source, the package's and `add_code`'s."""
+    return _hash_of_code(())
+
+
+@lru_cache(maxsize=1)
+def simulation_hash() -> str:
+    """`code_hash` of what simulates and measures: a changed line of it makes all stored numbers stale, one of `ABOVE` none."""
+    return _hash_of_code(ABOVE)
+
+
+def _hash_of_code(without: tuple[str, ...]) -> str:
     package = Path(__file__).resolve().parents[1]
     further = [(str(path), file_hash(path)) for path in sorted(_further_code)]
-    own = [(path.relative_to(package).as_posix(), file_hash(path)) for path in sorted(package.rglob("*.py"))]
+    files = {path.relative_to(package): path for path in package.rglob("*.py")}
+    own = [(name.as_posix(), file_hash(path)) for name, path in sorted(files.items()) if name.parts[0] not in without]
     return content_hash(own + further)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.cache import cache_folder, code_hash, content_hash
+from isetval.core.cache import cache_folder, content_hash, simulation_hash
 
 Float = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class NumberStore:
     """
 
     def __init__(self, name: str) -> None:
-        self.path = cache_folder() / "metrics" / f"{content_hash((FORMAT, name, code_hash()))[:32]}.sqlite"
+        self.path = cache_folder() / "metrics" / f"{content_hash((FORMAT, name, simulation_hash()))[:32]}.sqlite"
         self.items: dict[str, Float] = read_numbers(self.path)
         self._bytes = sum(vector.nbytes for vector in self.items.values())
         self._fresh: dict[str, Float] = {}

@@ -17,7 +17,7 @@ from typing import Any
 from isetval.camera.exposing import expose
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import shot_setup
-from isetval.core.cache import cache_folder, code_hash, content_hash, load_json, save_json
+from isetval.core.cache import cache_folder, content_hash, load_json, save_json, simulation_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
@@ -49,7 +49,7 @@ def nominal_of(model: CameraModel, plan: Campaign, runner: Runner | None = None)
     names = {shot.name for shot in shots}
     plan = plan.as_plan().only(names)
     seen = [(s.name, s.seen, s.frames, s.method, s.channel, s.light and plan.lights[s.light].digest) for s in shots]
-    path = cache_folder() / "nominal" / f"{content_hash((SEED, code_hash(), model.digest(), seen))[:32]}.json"
+    path = cache_folder() / "nominal" / f"{content_hash((SEED, simulation_hash(), model.digest(), seen))[:32]}.json"
     if (known := _read(load_json(path))) is not None:
         return known
     calls = [Call(made_for, (model, plan.only([shot.name])), i) for i, shot in enumerate(plan.shots)]

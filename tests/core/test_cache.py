@@ -1,6 +1,8 @@
 """The folder of results named by their content."""
 
 import os
+import subprocess
+import sys
 
 import numpy as np
 
@@ -14,6 +16,14 @@ def test_folder_follows_the_xdg_rule(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", "relative/paths/are/ignored")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert cache.cache_folder() == tmp_path / ".cache" / "isetval"
+
+
+def test_what_simulates_and_measures_runs_nothing_of_the_rooms_above():
+    """Else stored numbers of old code would be taken for those of new."""
+    words = "import sys; from isetval.effects import catalogue; catalogue(); import isetval.loop.detective; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True).stdout.split()
+    assert "isetval.loop.prediction" in loaded
+    assert not [name for name in loaded if name.startswith(tuple(f"isetval.{room}" for room in cache.ABOVE))]
 
 
 def test_an_edited_file_is_not_trusted(tmp_path):

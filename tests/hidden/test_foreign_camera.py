@@ -81,6 +81,31 @@ def test_line_spread_out_of_focus_is_the_autocorrelation_of_the_pupil():
     assert found == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.parametrize("aslant_deg", [0.0, 37.0, 45.0, 90.0])
+def test_astigmatism_blurs_an_edge_as_the_autocorrelation_of_its_pupil(nominal, aslant_deg):
+    """Transfer at 0.3 of the cut-off by plain summation: between its foci a lens blurs edges of all directions alike."""
+    wavelength_um, n, gap_um, s = 0.55, 2.8, 40.0, 0.3
+    camera = replace(nominal, f_number=n, wave_f_number=n)
+    right = (camera.rows // 2, camera.cols - 64, 2, 64)
+    x, y = optics.middle(camera, right)
+    turn = math.atan2(y, x) + math.radians(aslant_deg)
+    edged = (550.0, (math.cos(turn), math.sin(turn)))
+    place = scene.Place("edge", "edge", right, 0.01)
+    focus = hidden_lens.astigmatism(0.0, camera, place, edged, gap_um=gap_um)
+    rim = hidden_lens.oblique_astigmatism((0.0, 0.0, 0.0), camera, place, edged[1], gap_um=gap_um)
+    waves = gap_um * (x * x + y * y) / (16 * n**2) / wavelength_um
+    u = (np.arange(2000) + 0.5) / 1000 - 1
+    across, along = np.meshgrid(u, u)
+    both = ((across + s) ** 2 + along**2 <= 1) & ((across - s) ** 2 + along**2 <= 1)
+    doubled = 2 * math.radians(aslant_deg)
+    path = 4 * s * (math.cos(doubled) * across - math.sin(doubled) * along)
+    expected = np.sum(both * np.cos(2 * np.pi * waves * path)) / np.sum(across**2 + along**2 <= 1)
+    places, density = optics.line_spread(wavelength_um, n, focus, *rim)
+    found = np.sum(density * np.cos(2 * np.pi * places * s / (wavelength_um * n))) * (places[1] - places[0])
+    assert found == pytest.approx(expected, abs=1e-3)
+    assert abs(expected - 0.62) > 0.1  # of a circular stop in focus 0.624
+
+
 def test_brighter_fatter_moves_variance_into_neighbours(nominal):
     """Var = mu (1 - A mu) and Cov(nearest) = A mu^2/4 in first order; 30 frames of 128 x 128."""
     mu, a = 2000.0, 4e-5
@@ -212,7 +237,7 @@ def test_spherical_and_coma_have_the_stated_standard_deviation_over_the_pupil():
     x, y = np.meshgrid(u, u)
     inside = x**2 + y**2 <= 1
     square = (x**2 + y**2)[inside]
-    spherical_um, _ = hidden_lens.spherical((0.0, 0.0), None, None, None, rms_waves=0.04)
+    spherical_um, *_ = hidden_lens.spherical((0.0, 0.0, 0.0), None, None, None, rms_waves=0.04)
     assert np.std(spherical_um * (square**2 - square)) == pytest.approx(0.04 * 0.55, rel=1e-3)
     camera, place = (
         Camera(1.73, 4.38, 0, 0, 1e9, 0, 0, 1, 0, 1023, np.zeros((3, 2))),
@@ -220,7 +245,7 @@ def test_spherical_and_coma_have_the_stated_standard_deviation_over_the_pupil():
     )
     at_x, at_y = optics.middle(camera, place.window)
     r = math.hypot(at_x, at_y)
-    _, coma_um = hidden_lens.coma((0.0, 0.0), camera, place, (at_x / r, at_y / r), rms_waves=0.06)
+    _, coma_um, _ = hidden_lens.coma((0.0, 0.0, 0.0), camera, place, (at_x / r, at_y / r), rms_waves=0.06)
     assert np.std(coma_um * (square - 2 / 3) * x[inside]) == pytest.approx(0.06 * 0.55 * r, rel=1e-3)
 
 

@@ -245,7 +245,8 @@ EFFECTS = (
     _effect("field_curvature", {"sag_um": 4.0}, "depth of focus at F/1.7 is 2 um", seen=EDGES, values=_same(kappa_um="sag_um")),
     _effect("sensor_tilt", {"x_deg": 0.05, "y_deg": -0.03}, "active alignment reaches 0.05 deg", seen=EDGES),
     _effect("axial_color", {"primary_um": 1.5, "secondary_um": 0.5}, "plastic lenses: a few um", seen=EDGES),
-    _effect("astigmatism", {"gap_um": 3.0}, OWN, seen=EDGES),
+    # odd about the focus along the radius and across it, even aslant: between the first and the second power
+    _effect("astigmatism", {"gap_um": 3.0}, OWN, seen=EDGES, power=1.5),
     _effect("spherical", {"rms_waves": 0.04}, "Marechal's limit is 0.07", seen=EDGES, values=_same(rms_waves="rms_waves")),
     _effect(  # counts the wave's path the other way: its flare points outwards
         "coma",

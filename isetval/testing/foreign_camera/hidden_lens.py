@@ -13,6 +13,7 @@ from .types import Camera, Float, Light, Place
 CONSTANTS["defocus"] = {"z_um": "focus_um"}
 CONSTANTS["diffraction"] = {"f_number": "wave_f_number"}
 Edged = tuple[float, tuple[float, float]]
+Rim = tuple[float, float, float]  # path differences at the pupil's rim as an edge sees them: spherical, coma, oblique astigmatism
 
 
 @at("veil", "veiling_glare")
@@ -114,7 +115,10 @@ def axial_color(focus_um: float, camera: Camera, place: Place, edged: Edged, *, 
 
 @at("focus", "astigmatism")
 def astigmatism(focus_um: float, camera: Camera, place: Place, edged: Edged, *, gap_um: float) -> float:
-    """Two focal shells: edges whose normal lies along the field's radius focus before, those across it behind."""
+    """Two focal shells: edges whose normal lies along the field's radius focus before, those across it behind.
+
+    Edges aslant to it focus between, and are blurred there, which `oblique_astigmatism` adds.
+    """
     x, y = optics.middle(camera, place.window)
     r2 = x * x + y * y
     if r2 == 0:
@@ -123,21 +127,26 @@ def astigmatism(focus_um: float, camera: Camera, place: Place, edged: Edged, *, 
     return focus_um + gap_um / 2 * r2 * (2 * along - 1)
 
 
+@at("aberration", "astigmatism")
+def oblique_astigmatism(rim_um: Rim, camera: Camera, place: Place, normal: tuple[float, float], *, gap_um: float) -> Rim:
+    """The path at the rim, gap r^2/(16 N^2), of which edges aslant to the radius see a part that no focus takes back."""
+    x, y = optics.middle(camera, place.window)
+    aslant = 2 * (normal[0] * x + normal[1] * y) * (normal[0] * y - normal[1] * x)  # r^2 sin 2t, t from the normal to the radius
+    n = camera.wave_f_number or camera.f_number
+    return rim_um[0], rim_um[1], rim_um[2] + gap_um * aslant / (16 * n**2)
+
+
 @at("aberration", "spherical")
-def spherical(
-    rim_um: tuple[float, float], camera: Camera, place: Place, normal: tuple[float, float], *, rms_waves: float
-) -> tuple[float, float]:
+def spherical(rim_um: Rim, camera: Camera, place: Place, normal: tuple[float, float], *, rms_waves: float) -> Rim:
     """Rays of the pupil's rim focus elsewhere: rho^4 - rho^2, whose standard deviation over the disc is 1/(6 sqrt 5)."""
-    return rim_um[0] + rms_waves * 0.55 * 6 * 5**0.5, rim_um[1]
+    return rim_um[0] + rms_waves * 0.55 * 6 * 5**0.5, *rim_um[1:]
 
 
 @at("aberration", "coma")
-def coma(
-    rim_um: tuple[float, float], camera: Camera, place: Place, normal: tuple[float, float], *, rms_waves: float
-) -> tuple[float, float]:
+def coma(rim_um: Rim, camera: Camera, place: Place, normal: tuple[float, float], *, rms_waves: float) -> Rim:
     """Zones of the pupil differ in magnification: grows with the field, seen by edges across the radius."""
     x, y = optics.middle(camera, place.window)
-    return rim_um[0], rim_um[1] + rms_waves * 0.55 * 3 * 8**0.5 * (x * normal[0] + y * normal[1])
+    return rim_um[0], rim_um[1] + rms_waves * 0.55 * 3 * 8**0.5 * (x * normal[0] + y * normal[1]), rim_um[2]
 
 
 @at("smear", "motion_blur")
