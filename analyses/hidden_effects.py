@@ -48,6 +48,12 @@ def main(words=None):
 
         measure(NOMINAL, options.plan, options.lens)
         return 0
+    if options.signatures:
+        from hidden_trials.draw import NOMINAL
+        from hidden_trials.own_signature import measure
+
+        measure(NOMINAL, options.plan, options.lens, names=tuple(filter(None, options.names.split(","))))
+        return 0
     if options.predict:
         from hidden_trials.predicted import predict
 
@@ -80,7 +86,7 @@ def _options(words):
     parser.add_argument(
         "--names",
         default="",
-        help="effects by name in their practical strength, in place of drawn trials; or those to --calibrate anew",
+        help="effects by name in their practical strength, in place of drawn trials; or those to --calibrate or of --signatures",
     )
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time (default: %(default)s)")
     parser.add_argument("--limit-s", type=float, default=900.0, help="wall seconds that a trial may take (default: %(default)s)")
@@ -95,6 +101,7 @@ def _options(words):
     parser.add_argument("--calibrate", action="store_true", help="measure how strongly effects stand out in a plan")
     parser.add_argument("--predict", action="store_true", help="store the confusions that identify predicts for a plan")
     parser.add_argument("--nearest", action="store_true", help="measure what of each outsider no effect explains in a plan")
+    parser.add_argument("--signatures", action="store_true", help="measure how much of each effect its own signature sees")
     parser.add_argument("--lens", choices=("open", "stopped"), default="open", help="setting of the lens to measure in")
     parser.add_argument("--make", nargs=2, metavar=("ID", "DIR"), help="write one trial's campaign and its truth")
     return parser.parse_args(words)

@@ -28,7 +28,7 @@ def measure(nominal_folder, plan, lens, *, path=STORED, say=print):
     Writes after each, so that a killed run loses one.
     """
     calibration = Calibration(nominal_folder, plan, lens)
-    bases = _bases(calibration)
+    bases = bases_of(calibration)
     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     own = known.setdefault(f"{plan}/{lens}", {})
     for concealed in (c for c in OUTSIDERS if visible(c, plan)):
@@ -46,7 +46,7 @@ def measure(nominal_folder, plan, lens, *, path=STORED, say=print):
         path.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
-def _bases(calibration):
+def bases_of(calibration):
     """Orthonormal directions of every candidate behind the nuisances, by name."""
     problem, frame = calibration.problem, calibration.frame
     model = calibration.prepared.model
