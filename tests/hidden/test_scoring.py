@@ -16,8 +16,11 @@ from hidden_trials import draw  # noqa: E402
 from hidden_trials.calibrate import common_square  # noqa: E402
 from hidden_trials.judge import judged  # noqa: E402
 from hidden_trials.nearest import tells_apart  # noqa: E402
+from hidden_trials.own_signature import along_signatures  # noqa: E402
 from hidden_trials.run import changes_bits  # noqa: E402
 from hidden_trials.summary import interval, summary, table_lines  # noqa: E402
+
+from isetval.testing.foreign_camera.strengths import ALL  # noqa: E402
 
 
 def test_five_hundred_trials_hold_what_the_issue_asks_for():
@@ -31,6 +34,15 @@ def test_five_hundred_trials_hold_what_the_issue_asks_for():
     # set strengths are those at which the effect stands out by so many sigmas
     assert all(s == pytest.approx(t.level, abs=0.01) for t in drawn if isinstance(t.level, float) for s in t.expected_s)
     assert all(len({tr["name"] for tr in t.truths}) == 2 for t in drawn if t.kind == "pair")
+
+
+def test_what_a_signature_sees_of_an_effect_is_what_specimens_have_in_common_along_it():
+    """Two of three sigmas along the second form of its name, the noise of each specimen in none of the directions that count."""
+    effect = np.array([2.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0])
+    parts = [effect + 5 * np.eye(7)[4 + i] for i in range(3)]
+    bases = {name: np.eye(7)[:, [i]] for name, i in (("coma", 2), ("dust", 1), ("dust (x0 1)", 0), ("blooming", 4))}
+    dust = ALL["dust"]
+    assert along_signatures(parts, bases, dust) == {"s": 3.0, "own": 2.0, "nearest": "coma", "nearest_s": 1.0}
 
 
 def test_stored_strengths_are_restated_by_the_laws_of_now():
