@@ -107,14 +107,19 @@ def _cost_of_held(hypothesis: Hypothesis, name: str) -> float:
 def _words(candidate: Candidate) -> str:
     effect = candidate.effect
     own = "as it is" if effect.free is None or not is_free(effect) else f"free along the {effect.free.axis}"
-    return ", ".join(str(getattr(effect, name)) for name in effect.forms) or own
+    chosen = {key: getattr(effect, key) for key in effect.chosen() if key not in effect.lies_at}
+    return ", ".join(v if isinstance(v, str) else f"{key} {v:g}" for key, v in chosen.items() if v != "") or own
 
 
 def other_forms(case: Investigation, candidate: Candidate) -> list[FormRow]:
-    """Forms by name of a named effect that were weighed as candidates of their own, as the linear model had them."""
+    """Forms by name of a named effect that were weighed as candidates of their own, as the linear model had them.
+
+    Its own first, then the others, the likeliest first.
+    """
     logs = {row.name: row.log_evidence for row in case.rows}
     free = tuple(p.name for p in candidate.parameters)
     forms = [c for c in case.candidates if c.klass == candidate.klass and c.effect.forms]
+    forms.sort(key=lambda c: (c.name == candidate.name, logs.get(c.name) or 0.0), reverse=True)
     return [FormRow(_words(c), free, logs.get(c.name) or 0.0) for c in forms] if len(forms) > 1 else []
 
 

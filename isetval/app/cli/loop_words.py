@@ -231,8 +231,9 @@ def _form_lines(effect: Mapping[str, Any]) -> list[str]:
     fewest = min((f["free"] for f in forms), key=len)
     named = [f["form"] + _further([name for name in f["free"] if name not in fewest], f["form"]) for f in forms]
     behind = [f["log_evidence"] - forms[0]["log_evidence"] for f in forms]
-    others = ", ".join(f"{name} {by:+.1f}" for name, by in zip(named[1:], behind[1:], strict=True))
-    return [f"    form: {named[0]}; ln evidence of others against it: {others}"]
+    others = ", ".join(f"{name} {by:+.1f}" for name, by in zip(named[1:], behind[1:][:RIVALS_TOLD], strict=False))
+    more = f", and {len(named) - 1 - RIVALS_TOLD} more" if len(named) - 1 > RIVALS_TOLD else ""
+    return [f"    form: {named[0]}; ln evidence of others against it: {others}{more}"]
 
 
 def _further(names: Sequence[str], form: str) -> str:

@@ -8,12 +8,12 @@ import numpy as np
 
 from . import optics, spectra
 from .effects import CONSTANTS, at
+from .optics import Rim
 from .types import Camera, Float, Light, Place
 
 CONSTANTS["defocus"] = {"z_um": "focus_um"}
 CONSTANTS["diffraction"] = {"f_number": "wave_f_number"}
 Edged = tuple[float, tuple[float, float]]
-Rim = tuple[float, float, float]  # path differences at the pupil's rim as an edge sees them: spherical, coma, oblique astigmatism
 
 
 @at("veil", "veiling_glare")
@@ -133,7 +133,7 @@ def oblique_astigmatism(rim_um: Rim, camera: Camera, place: Place, normal: tuple
     x, y = optics.middle(camera, place.window)
     aslant = 2 * (normal[0] * x + normal[1] * y) * (normal[0] * y - normal[1] * x)  # r^2 sin 2t, t from the normal to the radius
     n = camera.wave_f_number or camera.f_number
-    return rim_um[0], rim_um[1], rim_um[2] + gap_um * aslant / (16 * n**2)
+    return *rim_um[:3], rim_um[3] + gap_um * aslant / (16 * n**2)
 
 
 @at("aberration", "spherical")
@@ -144,9 +144,12 @@ def spherical(rim_um: Rim, camera: Camera, place: Place, normal: tuple[float, fl
 
 @at("aberration", "coma")
 def coma(rim_um: Rim, camera: Camera, place: Place, normal: tuple[float, float], *, rms_waves: float) -> Rim:
-    """Zones of the pupil differ in magnification: grows with the field, seen by edges across the radius."""
+    """Zones of the pupil differ in magnification: the tail points along the field's radius and grows with it."""
     x, y = optics.middle(camera, place.window)
-    return rim_um[0], rim_um[1] + rms_waves * 0.55 * 3 * 8**0.5 * (x * normal[0] + y * normal[1]), rim_um[2]
+    spherical_um, across_um, along_um, oblique_um = rim_um
+    size_um = rms_waves * 0.55 * 3 * 8**0.5
+    across_um += size_um * (x * normal[0] + y * normal[1])
+    return spherical_um, across_um, along_um + size_um * (y * normal[0] - x * normal[1]), oblique_um
 
 
 @at("smear", "motion_blur")

@@ -13,6 +13,7 @@ CHORDS, SAMPLES, PADDED = 48, 1024, 4096
 FINE_PX = 1 / 256
 REACH_PX = 96.0
 FAR_UM = 40.0
+Rim = tuple[float, float, float, float]  # path differences at the rim as an edge sees them, in the order of `line_spread`
 NODES_NM = np.arange(390.0, 721.0, 33.0)
 
 
@@ -57,18 +58,20 @@ def line_spread(
     defocus_um: float,
     spherical_um: float = 0.0,
     coma_um: float = 0.0,
+    coma_along_um: float = 0.0,
     oblique_um: float = 0.0,
 ) -> tuple[Float, Float]:
     """Line spread function of a circular pupil, energy 1: places (um) and density (1/um).
 
     By Parseval the intensity summed along the edge is the sum over the pupil's chords (perpendicular to
     the edge) of the squared spectrum of each chord: one Fourier transform per chord.  ``spherical_um`` and
-    ``coma_um`` are path differences at the pupil's rim: s (rho^4 - rho^2) and c (rho^3 - 2 rho/3) cos; ``oblique_um``
-    is o rho^2 sin 2t, the part of an astigmatism that stands at 45 degrees to the edge: it tilts each chord by its height.
+    ``coma_um`` are path differences at the pupil's rim: s (rho^4 - rho^2) and c (rho^3 - 2 rho/3) cos t, t from the edge's
+    normal.  ``coma_along_um`` is the same with sin t, a tail along the edge, and ``oblique_um`` o rho^2 sin 2t, the part of an
+    astigmatism that stands at 45 degrees to the edge: they bend and tilt each chord by its height.
     """
     # chords at heights sin t, t at midpoints: half lengths and weights dv are both cos t; the other half is the same
     turns = (np.arange(CHORDS) + 0.5) * np.pi / 2 / CHORDS
-    if oblique_um:  # but tilted the other way
+    if coma_along_um or oblique_um:  # but bent and tilted the other way
         turns = np.concatenate([-turns[::-1], turns])
     reach = weight = np.cos(turns)
     height = np.sin(turns)[:, None]
@@ -78,8 +81,8 @@ def line_spread(
     # defocus z: path difference at the rim z/(8 N^2); what is the same along a chord does not show
     path = defocus_um / (8 * f_number**2) / wavelength_um * u[None] ** 2
     square = u[None] ** 2 + height**2
-    rim = spherical_um * (square**2 - square) + coma_um * (square - 2 / 3) * u[None] + 2 * oblique_um * u[None] * height
-    path = path + rim / wavelength_um
+    tails = (square - 2 / 3) * (coma_um * u[None] + coma_along_um * height)
+    path = path + (spherical_um * (square**2 - square) + tails + 2 * oblique_um * u[None] * height) / wavelength_um
     field = np.fft.fft(cover * np.exp(2j * np.pi * path), PADDED, axis=1)
     density = np.fft.fftshift(weight @ (field.real**2 + field.imag**2))
     place: Float = np.asarray((np.arange(PADDED) - PADDED // 2) * wavelength_um * f_number / (PADDED * step / 2), float)
@@ -111,11 +114,9 @@ def _finer(place: Float, density: Float, factor: int) -> tuple[Float, Float]:
 
 
 @lru_cache(maxsize=512)
-def _running_sum(
-    wavelength_um: float, f_number: float, defocus_um: float, spherical_um: float, coma_um: float, oblique_um: float
-) -> tuple[Float, Float]:
+def _running_sum(wavelength_um: float, f_number: float, defocus_um: float, aberration_um: Rim) -> tuple[Float, Float]:
     """Integral of the line spread from far on the dark side, 1/2 in the middle where it is even."""
-    place, density = _finer(*line_spread(wavelength_um, f_number, defocus_um, spherical_um, coma_um, oblique_um), 16)
+    place, density = _finer(*line_spread(wavelength_um, f_number, defocus_um, *aberration_um), 16)
     total = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2) * (place[1] - place[0])])
     # the far tails outside the table are alike on both sides
     return place, total + 0.5 - total[-1] / 2
@@ -131,14 +132,14 @@ def edge_spread(
     diffusion_px: float = 0.0,
     pixel_px: float = 1.0,
     smear_px: float = 0.0,
-    aberration_um: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    aberration_um: Rim = (0.0, 0.0, 0.0, 0.0),
 ) -> tuple[Float, Float]:
     """Light on a square pixel whose middle lies at signed distances (px) from a unit step: places, values.
 
     The step is blurred by the lens, averaged over the pixel (two boxes along the edge's normal), moved over
     ``smear_px`` and smeared by Gaussian diffusion, all by running sums and kernels.
     """
-    place, total = _running_sum(wavelength_nm * 1e-3, f_number, defocus_um, *aberration_um)
+    place, total = _running_sum(wavelength_nm * 1e-3, f_number, defocus_um, aberration_um)
     d = np.arange(-REACH_PX - 8, REACH_PX + 8 + FINE_PX / 2, FINE_PX)
     spread = np.interp(d * pitch_um, place, total)
     for width in (pixel_px * abs(np.cos(angle_rad)), pixel_px * abs(np.sin(angle_rad)), smear_px):

@@ -100,7 +100,7 @@ def edge_picture(camera: Camera, place: Place, light: Light) -> Float:
     set_um = place.focus_um + place.get("focus_um") + camera.focus_um
     normal = edge_normal(place)
     smear = apply_stage("smear", 0.0, camera, place, normal)
-    rim_um = apply_stage("aberration", (0.0, 0.0, 0.0), camera, place, normal)
+    rim_um = apply_stage("aberration", (0.0, 0.0, 0.0, 0.0), camera, place, normal)
     steps = []
     for nm in optics.NODES_NM:
         focus = apply_stage("focus", set_um, camera, place, (float(nm), normal))
