@@ -139,12 +139,12 @@ class Filters:
 
     ``leak`` is a quantum efficiency added beyond the infrared-cut filter, in electrons per photon; ``shift_nm`` moves the
     curves by so much at `SHIFT_STATED_AT_NM`, elsewhere in proportion to the wavelength, and broadcasts to (rows, cols) (None:
-    nowhere); ``apart_nm`` moves those of red, green and blue each by its own.
+    nowhere); ``apart_nm`` moves those of red, green and blue each by its own, which may be another one in each band (bands,).
     """
 
     leak: float = 0.0
     shift_nm: Float | None = None
-    apart_nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    apart_nm: tuple[Float | float, Float | float, Float | float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

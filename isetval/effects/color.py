@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -79,6 +79,7 @@ class QeShift(Effect):
         "spd_mismatch",
         "cfa_angle_shift",
     )
+    free = FreeAxis("wavelength", "filters", 0.5)
     equation = "QE_c(lambda - d_c)"
     reference = "Jiang, Liu, Gu & Suesstrunk, WACV 2013, 168 (curves of 28 cameras)"
     must_not_change = ("dark", "edge")
@@ -190,9 +191,9 @@ class QuantumEfficiency(Effect):
             raise InputError(f"{path}: {len(table)} quantum efficiency columns; a {context.sensor.cfa} sensor needs {wanted}")
         return self.scale * np.array([spectrum.at(wavelength_nm) for spectrum in table])
 
-    def _moved_apart(self, context: Context, wavelength_nm: Float, apart_nm: tuple[float, float, float]) -> Float:
+    def _moved_apart(self, context: Context, wavelength_nm: Float, apart_nm: Sequence[Float | float]) -> Float:
         """The same, each channel's curve moved by its own part of ``apart_nm`` (red, green, blue; monochrome: green)."""
-        if not any(apart_nm):
+        if not any(np.any(d) for d in apart_nm):
             return self.curves(context, wavelength_nm)
         own = apart_nm[1:2] if context.sensor.cfa == "MONO" else apart_nm
         return np.array([self.curves(context, wavelength_nm - d)[c] for c, d in enumerate(own)])

@@ -242,12 +242,16 @@ def _strength(effect: _Free, own: Own, signal: Signal, context: Context) -> Sign
 def _filters(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:
     """The shift of the filters that the effect states, times 1 + f."""
     out = own(signal, context)
+    if effect.stated.axis == "wavelength":
+        more = effect.curve(signal.wavelength_nm)
+        red, green, blue = (a + more * (a - b) for a, b in zip(out.filters.apart_nm, signal.filters.apart_nm, strict=True))
+        return replace(out, filters=replace(out.filters, apart_nm=(red, green, blue)))
     after, before = out.filters.shift_nm, signal.filters.shift_nm
     if after is None:
         return out
     own_shift = after if before is None else after - before
-    more = effect.curve(_place(effect, signal, context))[0] * own_shift
-    return replace(out, filters=replace(out.filters, shift_nm=after + more))
+    beyond = effect.curve(_place(effect, signal, context))[0] * own_shift
+    return replace(out, filters=replace(out.filters, shift_nm=after + beyond))
 
 
 def _transfer(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:

@@ -11,6 +11,7 @@ from isetval.core.scene import Scene
 from isetval.core.sensor import Exposure
 from isetval.core.signal import Signal
 from isetval.effects import catalogue
+from isetval.effects.color import QeShift
 from isetval.effects.converter import Nonlinearity
 from isetval.effects.dark_charge import DarkCurrent
 from isetval.effects.free_form import AXES, curve_parameters, free_form, freed, is_free
@@ -161,3 +162,17 @@ def test_a_light_is_of_another_spectrum_in_its_own_shots(place):
     places, modes = AXES["wavelength"].table(False)
     wanted = 1 + 0.1 * np.interp(nm, places, modes[:, 0] - modes[:, 3])
     np.testing.assert_allclose(effect.apply_scene(scene, place(light="tube")).white, wanted)
+
+
+def test_filters_of_another_lot_are_stretched_curves(place):
+    """Curves stretched about 400 nm by 1 % are moved in proportion to what they are beyond it, those of all colors alike."""
+    nm = np.arange(400.0, 721.0, 10.0)
+    places, modes = AXES["wavelength"].table(False)
+    line = (nm - 400) / 150 - 1
+    basis = 0.5 * np.array([np.interp(nm, places, mode) for mode in modes.T])
+    curve = {f"free_{i}": v for i, v in enumerate(np.linalg.lstsq(basis.T, line, rcond=None)[0], 1)}
+    effect = freed(QeShift(red_nm=1.5, blue_nm=-3.0)).changed(**curve)
+    red, green, blue = effect.apply(Signal.of(np.ones((nm.size, 1, 1)), "irradiance", wavelength_nm=nm), place()).filters.apart_nm
+    np.testing.assert_allclose(red, 0.01 * (nm - 400), atol=0.03)
+    np.testing.assert_allclose(blue, -0.02 * (nm - 400), atol=0.06)
+    assert not np.any(green)
