@@ -1,11 +1,17 @@
 """Rivals in the catalogue's forms: none wins by a freer form that the others were not asked for."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+import isetval
 from isetval.loop import search, shortlist
+from isetval.loop.candidates import candidates_for
+from isetval.loop.forms import other_forms
+
+NOMINAL = Path(__file__).resolve().parents[2] / "data" / "pixel4a" / "camera.toml"
 
 OWN = {"knee": -411.0, "bent": -430.4, "table": -470.0}  # ln(Z pi) of the trial that this is (a knee of .76 % at 2500 e-)
 FREE = {"knee": -400.7, "bent": -407.6, "table": -469.0}
@@ -123,3 +129,15 @@ def test_a_curve_and_a_further_name_are_both_asked_of_the_hold_out(monkeypatch, 
     exchanged = Standing({"light", "dust"}, 4.0, word=15.0)
     case.known[exchanged.names] = exchanged
     assert search._form_before_name(case, exchanged, print) is (shaped if wanted == "curve" else exchanged)
+
+
+def test_a_named_effects_forms_show_its_own_first_and_by_name():
+    """A line of one lamp is no line of all: both were called 545, and the first of the catalogue stood for the one that was named."""
+    model = isetval.load_model(NOMINAL)
+    forms = [c for c in candidates_for(model, ("sky", "tube")) if c.klass == "spd_mismatch"]
+    logs = {"spd_mismatch": 3.0, "spd_mismatch (tube)": 20.0, "spd_mismatch (spike_nm 611, tube)": 21.0}
+    rows = [SimpleNamespace(name=c.name, log_evidence=logs.get(c.name, 0.0)) for c in forms]
+    named = next(c for c in forms if c.name == "spd_mismatch (tube)")
+    told = other_forms(SimpleNamespace(rows=rows, candidates=forms), named)
+    assert [row.form for row in told[:3]] == ["spike_nm 545, tube", "spike_nm 611, tube", "spike_nm 545"]
+    assert [row.log_evidence for row in told[:3]] == [20.0, 21.0, 3.0]
