@@ -132,7 +132,7 @@ def test_a_curve_and_a_further_name_are_both_asked_of_the_hold_out(monkeypatch, 
 
 
 def test_a_named_effects_forms_show_its_own_first_and_by_name():
-    """A line of one lamp is no line of all: both were called 545, and the first of the catalogue stood for the one that was named."""
+    """A line of one lamp is no line of all: both were called 545, and the first of the catalogue stood for what was named."""
     model = isetval.load_model(NOMINAL)
     forms = [c for c in candidates_for(model, ("sky", "tube")) if c.klass == "spd_mismatch"]
     logs = {"spd_mismatch": 3.0, "spd_mismatch (tube)": 20.0, "spd_mismatch (spike_nm 611, tube)": 21.0}
