@@ -44,6 +44,7 @@ class Calibration:
         first = self._shot("null_0", None, SEEDS[0])
         model = isetval.load_model(Path(first.folder) / "camera.toml")
         self.prepared = prepare(model, first)
+        self.choices = nominal_of(self.prepared.model, first)
         problem = self.prepared.problem
         self.problem = problem
         self.frame = make_frame(fit(problem, Point(model), nuisance_parameters(problem.plan, model)))
@@ -58,8 +59,7 @@ class Calibration:
 
     def _values(self, campaign):
         """Values in the order of the first campaign's metrics, measured as a diagnosis does; nan where one cannot be measured."""
-        choices = that_hold(campaign, nominal_of(self.prepared.model, campaign))
-        table = measure_campaign(campaign, choices=choices, summaries=False)
+        table = measure_campaign(campaign, choices=that_hold(campaign, self.choices), summaries=False)
         found = {m.key(): v for m, v in zip(table.metrics, table.values, strict=True)}
         return np.array([found.get(m.key(), np.nan) for m in self.prepared.table.metrics])
 

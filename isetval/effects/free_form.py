@@ -240,18 +240,18 @@ def _strength(effect: _Free, own: Own, signal: Signal, context: Context) -> Sign
 
 
 def _filters(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:
-    """The shift of the filters that the effect states, times 1 + f."""
+    """The shift of the filters that the effect states, times 1 + f: of each channel by wavelength, or of all by place."""
     out = own(signal, context)
+    more = effect.curve(_place(effect, signal, context))
     if effect.stated.axis == "wavelength":
-        more = effect.curve(signal.wavelength_nm)
-        red, green, blue = (a + more * (a - b) for a, b in zip(out.filters.apart_nm, signal.filters.apart_nm, strict=True))
+        beyond = more[:, 0, 0]
+        red, green, blue = (a + beyond * (a - b) for a, b in zip(out.filters.apart_nm, signal.filters.apart_nm, strict=True))
         return replace(out, filters=replace(out.filters, apart_nm=(red, green, blue)))
     after, before = out.filters.shift_nm, signal.filters.shift_nm
     if after is None:
         return out
     own_shift = after if before is None else after - before
-    beyond = effect.curve(_place(effect, signal, context))[0] * own_shift
-    return replace(out, filters=replace(out.filters, shift_nm=after + beyond))
+    return replace(out, filters=replace(out.filters, shift_nm=after + more[0] * own_shift))
 
 
 def _transfer(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:

@@ -223,3 +223,11 @@ def test_a_laboratory_may_not_know_the_sensitivity_in_a_light(place, light, quan
     known = qe.apply(light(), place()).values[:, 0, 0]
     other = qe.apply(light(), place(nuisance={"qe_red": 0.1, "qe_blue": -0.2})).values[:, 0, 0]
     np.testing.assert_allclose(other / known, [1.1, 1.0, 0.8])
+
+
+def test_light_without_wavelengths_is_refused_in_words_behind_a_free_shift_too(place, quantum):
+    effect = quantum("wavelength_nm,R,G,B", [(380, 0.1, 0.1, 0.1), (720, 0.4, 0.4, 0.4)])
+    plain = Signal.of(np.ones((1, 1, 1)), "irradiance")
+    shifted = freed(QeShift(red_nm=1.0)).changed(free_1=1.0).apply(plain, place())
+    with pytest.raises(InputError, match="the light carries no wavelengths"):
+        effect.apply(shifted, place())
