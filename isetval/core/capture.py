@@ -106,7 +106,10 @@ class Capture:
 
 
 class ExpectedFrame(Capture):
-    """A simulated frame whose codes (float32) are not rounded: what is measured in it follows a parameter without steps."""
+    """A simulated frame whose codes (float32) are not rounded: what is measured in it follows a parameter without steps.
+
+    Without noise (an expectation), or with a dither in place of rounding (`isetval.camera.exposing.dithered`).
+    """
 
     codes: ClassVar[type] = np.float32
 

@@ -86,7 +86,8 @@ class Context:
     (bands,), for effects that scatter light over the field.  ``mode`` is *capture* (exact Poisson),
     *derivative* (common random numbers, see `poisson`) or *expected* (no frame noise).  Effects that ``mirrored`` names draw
     their unit normals with the other ``sign``: the mean over both is free of what is linear in them (antithetic variates;
-    Hammersley and Morton, Proc. Camb. Phil. Soc. 52 (1956) 449).
+    Hammersley and Morton, Proc. Camb. Phil. Soc. 52 (1956) 449).  Codes of a derivative that are ``dithered`` are not rounded:
+    see `isetval.camera.exposing.dithered`.
     """
 
     sensor: Sensor
@@ -110,6 +111,7 @@ class Context:
     poisson_gaussian: bool = True
     mirrored: frozenset[str] = frozenset()
     sign: int = 1
+    dithered: bool = False
 
     def for_effect(self, name: str, occurrence: int) -> Context:
         """The same place with the random streams of one effect."""
@@ -190,15 +192,17 @@ class Context:
         place = (row0,) if self.shot_window is None or col0 == self.shot_window[1] else (row0, col0)
         return (*self.effect_key, _KIND["frame"], part, word(self.shot), self.frame, *place)
 
-    def frame_numbers(self, kind: Literal["normal", "uniform"], shape: tuple[int, ...], part: int = 0) -> NDArray[Any]:
-        """Unit normals (float32) or uniforms of this frame, the first that `rng` would draw; may be read-only.
+    def frame_numbers(self, kind: Literal["normal", "uniform", "dither"], shape: tuple[int, ...], part: int = 0) -> NDArray[Any]:
+        """Unit normals (float32), uniforms, or parts of a code (float32) of this frame, the first that `rng` would draw.
 
-        Derivatives ask for the same numbers at every point: they are remembered.
+        They may be read-only: derivatives ask for the same numbers at every point: they are remembered.
         """
 
         def drawn() -> NDArray[Any]:
             rng = self.rng("frame", part)
-            return rng.standard_normal(shape, dtype=np.float32) if kind == "normal" else rng.random(shape)
+            if kind == "normal":
+                return rng.standard_normal(shape, dtype=np.float32)
+            return rng.random(shape) if kind == "uniform" else rng.random(shape, dtype=np.float32) - np.float32(0.5)
 
         if self.mode != "derivative":
             return self._signed(drawn()) if kind == "normal" else drawn()

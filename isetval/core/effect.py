@@ -244,6 +244,14 @@ class Effect:
         """The effect with other parameter values."""
         return replace(self, **values)
 
+    def needs_codes(self) -> bool:
+        """Whether it acts on whole codes as such where it stands: on numbers that are not rounded it would do something else."""
+        return self.whole_codes and any(getattr(self, p.name) != p.null for p in self.parameters() if not p.shape)
+
+    def code_step_dn(self) -> float:
+        """Step in DN that it rounds to; 0 where it does not round, nan where not all pixels have one."""
+        return 0.0
+
     def states_chief_ray(self) -> bool:
         """Whether signals behind this effect carry the angle of the lens's chief rays."""
         return False

@@ -187,6 +187,10 @@ class RawFiltering(Effect):
     )
     form: str = FILTER_FORMS[0]
 
+    def needs_codes(self) -> bool:
+        """In whole codes a weak filter moves few pixels, by one code each."""
+        return bool(self.weight) and self.form == "whole codes"
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Smooth each colour plane; at the border the pixel stands in for its missing neighbour."""
         if not self.weight:
@@ -250,10 +254,15 @@ class Quantization(Effect):
         step, share = self._step_and_share()
         return self.changed(step_dn=step) if 0 < share < LEAST_SHARE else self
 
+    def code_step_dn(self) -> float:
+        """The step; nan where a share of the pixels has twice as large a one."""
+        step, share = self._step_and_share()
+        return step if share < LEAST_SHARE else float("nan")
+
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Round and limit."""
+        """Round and limit; what is dithered in place of being rounded is left to the end of the chain (`Context.dithered`)."""
         values = signal.values
-        if self.step_dn and context.mode != "expected":
+        if self.step_dn and context.mode != "expected" and not context.dithered:
             values = self._rounded(values, context)
         return signal.with_values(np.clip(values, 0, context.sensor.white_dn))
 

@@ -42,6 +42,10 @@ class UnevenCodes(Effect):
     sigma: float = parameter(0.0, unit="LSB", low=0.0, high=1.0, tau=0.05, doc="standard deviation of single codes' widths")
     repeated: float = parameter(0.0, unit="LSB", low=0.0, high=1.0, tau=0.05, doc="that of the pattern of 16 codes")
 
+    def needs_codes(self) -> bool:
+        """The widths of codes show in how often each occurs."""
+        return bool(self.sigma or self.repeated)
+
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Where each value falls on the scale of codes."""
         if not (self.sigma or self.repeated) or context.mode == "expected":

@@ -26,6 +26,7 @@ from isetval.core.number_store import NumberStore
 from isetval.core.scene import ChartTarget, RenderedTarget
 from isetval.core.sensor import Roi
 from isetval.loop.base import Base, averaged, gathered, scattered
+from isetval.loop.difference_frames import DifferenceFrames
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
 from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part, sample_of, vectors_of
@@ -107,6 +108,7 @@ class Predictor:
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
         self._chosen = {name: content_hash(choices) for name, choices in self._choices.items()}
+        self._frames = DifferenceFrames.of(table)
         self._through = {shot.name: _with_clipped(shot, self._choices[shot.name]) for shot in self.shots}
         self._regions: dict[str, tuple[Roi, ...]] = {}
         self._memo = NumberStore(repr([shot.name for shot in self.shots]))
@@ -183,11 +185,20 @@ class Predictor:
         return replace(setup, regions=self._regions[shot.name]) if self._regions[shot.name] else setup
 
     def _part(
-        self, place: Place, setup: ShotSetup, seed: int, derivative: bool, mirrored: frozenset[str] = frozenset()
+        self,
+        place: Place,
+        setup: ShotSetup,
+        seed: int,
+        derivative: bool,
+        mirrored: frozenset[str] = frozenset(),
+        rounded: bool = True,
     ) -> ShotPart:
         camera, halves, values = place
         shot = setup.shot
         how = self.differences[shot.name]
+        if derivative and how.noise_free and shot.given is None:
+            camera, halves = self._frames.without_patterns(camera)
+            mirrored, seed = frozenset(), 0
         setup = after_shot_before(setup, camera, self.plan, values)
         mean_only = how.noise_free or shot.levels_only  # a resampled picture's noise is not its sensor's
         mode: Mode = "capture" if not derivative else "expected" if mean_only else "derivative"
@@ -197,7 +208,8 @@ class Predictor:
             chosen = content_hash(choices)
             large, setup = in_large_pixels(camera, setup, choices)
             camera, halves = (camera, halves) if large is camera else (large, Halves.of(large))
-        rounded = mode != "expected" or not how.noise_free or shot.given is not None
+        if mode == "expected":
+            rounded = not how.noise_free or shot.given is not None
         seed = seed if is_noisy(shot, choices) else 0
         return ShotPart(camera, setup, seed, mode, choices, halves, chosen, rounded, mirrored)
 
@@ -227,20 +239,24 @@ class Predictor:
         # most points share their values: what these set up is made and hashed once
         places = {id(point.values): point for point in points}
         setups = {key: self._set_up(point.values, point.model, True) for key, point in places.items()}
+        ways = [{shot.name: self._frames.ways(camera, shot) for shot in shots} for camera in cameras]
+        halves = {id(camera): Halves.of(camera) for own in ways for each in own.values() for _, camera, _ in each}
         tasks = [
-            self._part((camera, halves, point.values), setups[id(point.values)][shot.name], seed, True, sign)
-            for point, camera, halves, own in zip(points, cameras, map(Halves.of, cameras), draws, strict=True)
+            self._part((camera, halves[id(camera)], point.values), setups[id(point.values)][shot.name], seed, True, sign, rounded)
+            for point, own, how in zip(points, draws, ways, strict=True)
             for shot, seed, sign in own
+            for _, camera, rounded in how[shot.name]
         ]
         results = iter(self._vectors(tasks))
         out = []
-        for own in draws:
+        for own, how in zip(draws, ways, strict=True):
             count = Counter(shot.name for shot, *_ in own)
             total = np.full(len(self.keys), np.nan)
             for shot in shots:
                 total[self.rows[shot.name]] = 0.0
             for shot, *_ in own:
-                total[self.rows[shot.name]] += next(results) / count[shot.name]
+                for share, *_ in how[shot.name]:
+                    total[self.rows[shot.name]] += share * next(results) / count[shot.name]
             out.append(total)
         return out
 

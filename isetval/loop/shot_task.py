@@ -74,8 +74,9 @@ class Rows:
 class ShotPart:
     """What one worker needs to shoot and measure one shot; ``halves`` and ``chosen`` are the hashes of model and choices.
 
-    Noise-free frames are ``rounded`` to codes where their estimators count codes: differences of frames that are not
-    follow their parameters without steps.  Effects that ``mirrored`` names draw their unit normals with the other sign.
+    Frames are ``rounded`` to codes where their estimators count codes, or where noise is too narrow for a dither to stand for
+    it: differences of frames that are not follow their parameters without steps.  Effects that ``mirrored`` names draw their
+    unit normals with the other sign.
     """
 
     model: CameraModel

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -81,9 +82,14 @@ def total_counts(each: Sequence[Counts]) -> Counts:
 def _counted(capture: Capture, roi: RoiLike | None) -> dict[str, CodeCounts]:
     row0, row1, col0, col1 = check_roi(capture, roi)
     planes = planes_of(capture)
-    table = _table(capture.mosaic[row0:row1, col0:col1], 1 if len(planes) == 1 else 2)
+    table = _table(_whole(capture.mosaic[row0:row1, col0:col1]), 1 if len(planes) == 1 else 2)
     places = {plane: plane_view(capture, plane, roi)[1] for plane in planes}
     return {plane: CodeCounts(table[:, row - row0, col - col0]) for plane, (row, col) in places.items()}
+
+
+def _whole(mosaic: NDArray[Any]) -> NDArray[np.uint16]:
+    """Codes; those of a simulated frame that was not rounded (`isetval.core.capture.ExpectedFrame`) are the nearest ones."""
+    return mosaic if mosaic.dtype == np.uint16 else np.rint(mosaic).astype(np.uint16)
 
 
 def _table(mosaic: NDArray[np.uint16], step: int) -> Counts:

@@ -98,6 +98,7 @@ def _pixel_codes(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None) -
     step = -(-views[0].size // MAX_PIXELS)
     rows = slice(None, None, step) if views[0].shape[0] >= 8 * step else slice(None)
     stack = np.stack([view[rows].ravel() for view in views])
+    stack = stack if np.issubdtype(stack.dtype, np.integer) else np.rint(stack).astype(np.int64)  # a simulated frame's
     if bad is not None and not bad[rows].all():
         stack = stack[:, ~bad[rows].ravel()]
     center, spread = _middle(np.bincount(stack.ravel()))
