@@ -81,6 +81,7 @@ def test_a_runner_that_is_left_halfway_leaves_nothing_in_the_others_way():
 
 def test_equal_frames_are_measured_once_and_give_what_each_alone_gives(model, plan, monkeypatch):
     """Steps of the converter are rounded to whole codes: half and quarter steps give the codes of whole ones, bit by bit."""
+    monkeypatch.setattr("isetval.loop.difference_frames.DITHERED_DN2", np.inf)  # `parts` are rounded
     table = measure_campaign(simulate(model, plan, 1), summaries=False)
     predictor = Predictor(plan, table)
     points = [Point(model), *(Point(model.with_values({"quantization.step_dn": step})) for step in (0.5, 0.25, 1.0))]
@@ -91,7 +92,6 @@ def test_equal_frames_are_measured_once_and_give_what_each_alone_gives(model, pl
     )
     vectors = predictor.derivative_vectors(points)
     parts = [predictor.parts(p, 101, derivative=True) for p in points]
-    assert all(whole for p in points for shot in predictor.shots for *_, whole in predictor._frames.ways(p.model, shot))
     alone = [[predictor._wanted[t.setup.shot.name].values(shot_task.blocks_of([t])[0]) for t in own] for own in parts]
     for vector, own in zip(vectors, alone, strict=True):
         for shot, values in zip(predictor.shots, own, strict=True):
