@@ -86,12 +86,13 @@ def dithered(dn: NDArray[Any], step_dn: float, white_dn: float, context: Context
     and Kollar, Quantization Noise, 2008, ch. 4), so that these numbers have the mean, the variance and the correlations of
     rounded ones.  Those of two points are rounded each by itself: their difference has a noise of a sixth of a step squared in
     each pixel, this one has none.  What is at either end of the range stays there, and what would be rounded to it goes there.
+    Done in place.
     """
-    part = context.but(effect_key=(word("dither"), 0)).frame_numbers("dither", dn.shape)
-    out = dn + step_dn * part
-    out[(dn >= white_dn) | (out > white_dn - 0.5)] = white_dn
-    out[(dn <= 0) | (out < 0.5)] = 0.0
-    return np.asarray(out)
+    full, empty = dn >= white_dn, dn <= 0
+    dn += step_dn * context.but(effect_key=(word("dither"), 0)).frame_numbers("dither", dn.shape)
+    dn[full | (dn > white_dn - 0.5)] = white_dn
+    dn[empty | (dn < 0.5)] = 0.0
+    return dn
 
 
 def _even_dither(shape: tuple[int, ...], rng: np.random.Generator) -> Float:
