@@ -16,6 +16,7 @@ from isetval.core.signal import Layer, Moved, Signal
 from isetval.effects.pupil import REFERENCE_NM, by_dispersion, field_point
 
 Float = NDArray[np.float64]
+GLASS = 1.5  # index of a cover glass, on which the angle inside hangs
 
 
 def _tangent2(x_mm: Float, y_mm: Float, focal_mm: float) -> Float:
@@ -156,23 +157,42 @@ class EtalonRipple(Effect):
         "vignetting",
     )
     free = FreeAxis("field radius", "share", 0.5)
-    equation = "E x (1 + a cos(2 pi (550 nm/lambda) (m - n r^2))), m order in the middle, n fringes to the corner"
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"order_550": (20.0, 40.0, 10.0)}
+    equation = (
+        "E x (1 + a cos(phi) + b sin(phi)), phi = 2 pi (550 nm/lambda) m cos(theta'), sin(theta') = sin(theta)/1.5, theta the "
+        "angle of the chief ray; m - n r^2 for m cos(theta') where n fringes to the corner are stated"
+    )
     reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 7.6 (plane-parallel plate, low reflectance)"
     must_not_change = ("dark", "edge")
 
     amplitude: float = parameter(0.0, unit="1", low=-0.5, high=0.5, tau=0.005, doc="amplitude a of the ripple")
-    fringes: float = parameter(
-        10.0, unit="1", low=0.1, high=1000.0, shape=True, doc="fringes from the middle to the corner at 550 nm"
+    quadrature: float = parameter(
+        0.0, unit="1", low=-0.5, high=0.5, tau=0.005, doc="amplitude b a quarter of a fringe on: the phase hangs on nanometers"
     )
-    order_550: float = parameter(40.0, unit="1", low=0.0, high=1e5, shape=True, doc="interference order in the middle at 550 nm")
+    fringes: float = parameter(
+        0.0, unit="1", low=0.0, high=1000.0, shape=True, doc="fringes n from middle to corner at 550 nm; 0: those of a plate"
+    )
+    order_550: float = parameter(
+        20.0, unit="1", low=0.0, high=1e5, shape=True, doc="interference order m in the middle at 550 nm"
+    )
+    focal_mm: float = parameter(
+        4.38, unit="mm", low=0.1, high=2000.0, shape=True, doc="focal length (distance of the exit pupil)"
+    )
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale by the fringe of each pixel and wavelength."""
-        if not self.amplitude:
+        if not (self.amplitude or self.quadrature):
             return signal
         grid = np.array([REFERENCE_NM]) if signal.wavelength_nm is None else signal.wavelength_nm
-        fringe = self.order_550 - self.fringes * context.field_radius()[None] ** 2
-        return signal.scaled(1 + self.amplitude * np.cos(2 * np.pi * (REFERENCE_NM / grid)[:, None, None] * fringe))
+        phase = 2 * np.pi * (REFERENCE_NM / grid)[:, None, None] * self._order(context)
+        return signal.scaled(1 + self.amplitude * np.cos(phase) + self.quadrature * np.sin(phase))
+
+    def _order(self, context: Context) -> Float:
+        """Interference order at 550 nm, (1, rows, cols)."""
+        if self.fringes:
+            return np.asarray(self.order_550 - self.fringes * context.field_radius()[None] ** 2)
+        tangent2 = _tangent2(*context.xy_mm(), self.focal_mm)
+        return np.asarray(self.order_550 * np.sqrt(1 - tangent2 / (1 + tangent2) / GLASS**2)[None])
 
 
 def _outwards(x: float, y: float, by: Callable[[Float], Any], wavelength_nm: Float) -> tuple[Any, Any]:

@@ -144,6 +144,23 @@ def test_etalon_has_its_fringes_and_washes_out_in_broad_light(place, light):
     assert abs(broad - 1) < 0.01 / 5  # 18 orders over the band: averages like 1/18 at most
 
 
+def test_a_plate_has_its_transmission_at_any_thickness(place, light):
+    """Airy's formula at low reflectance: of a plate 4 um thick the ripple is F/2, and its fringes are those of its angles."""
+    sensor, glass_um, finesse = place().sensor, 4.0, 0.016
+    row = place(window=(sensor.rows // 2, sensor.cols // 2, 1, sensor.cols // 2))
+    x = row.xy_mm()[0]
+    inside = np.sqrt(1 - x**2 / (x**2 + 4.38**2) / 1.5**2)
+    for nm in (436.0, 545.0, 611.0):
+        airy = 1 / (1 + finesse * np.sin(np.pi * 2 * 1.5 * glass_um * 1e3 * inside / nm) ** 2)
+        effect = EtalonRipple(amplitude=finesse / 2, order_550=2 * 1.5 * glass_um / 0.55)
+        found = effect.apply(light(np.ones(1), np.array([nm]), (1, x.size)), row).values[0, 0]
+        np.testing.assert_allclose(found * (1 - finesse / 2), airy[0], atol=3e-4)  # F squared
+    wave = [
+        EtalonRipple(**{name: 0.01}).apply(light(shape=(1, x.size)), row).values[0, 0] - 1 for name in ("amplitude", "quadrature")
+    ]
+    np.testing.assert_allclose(np.hypot(*wave), 0.01, rtol=1e-6)
+
+
 def test_motion_blur_is_a_box_along_its_direction(place, light):
     out = MotionBlur(length_px=2.0, angle_deg=90.0).apply(light(), place())
     assert otf(out, 0.25, 0.0, 550) == pytest.approx(otf(light(), 0.25, 0.0, 550))  # 90 deg: along y only
