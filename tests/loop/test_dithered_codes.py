@@ -51,7 +51,7 @@ def differences(model, flats, there, seeds, monkeypatch=None):
 
 
 def test_dithered_codes_are_as_rounded_ones_where_noise_is_wide(model):
-    """Mean, variance and neighbours of 4 million pixels with .9 DN of noise, before the part of rounding."""
+    """Mean, variance and neighbours of a million values with .9 DN of noise, before the part of rounding."""
     setup = ShotSetup(
         Shot("flat", "flat", exposure=Exposure(0.00018), frames=64, light="sphere", window=(200, 300, 256, 256)), LIGHT
     )
