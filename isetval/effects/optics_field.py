@@ -156,6 +156,7 @@ class EtalonRipple(Effect):
         "prnu",
         "vignetting",
     )
+    free = FreeAxis("field radius", "share", 0.5)
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"order_550": (20.0, 40.0, 10.0)}
     equation = (
         "E x (1 + a cos(phi) + b sin(phi)), phi = 2 pi (550 nm/lambda) m cos(theta'), sin(theta') = sin(theta)/1.5, theta the "
