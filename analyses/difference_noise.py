@@ -11,25 +11,17 @@ once between frames as a camera gives them, with whole codes, once as `diagnose`
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
 from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 
-from isetval import load_campaign, load_model
+from isetval import InputError, load_campaign, load_model
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 
 SEEDS = range(301, 309)  # of differences: no others use them
 DRAWN = 11  # seed of the unknowns' place
-
-
-def as_a_camera_gives_them() -> ExitStack:
-    """Differences of whole codes."""
-    stack = ExitStack()
-    stack.enter_context(patch("isetval.loop.difference_frames.DITHERED_DN2", np.inf))
-    return stack
 
 
 def place_of(problem, rng):
@@ -38,13 +30,24 @@ def place_of(problem, rng):
     return Point(problem.origin.model, values)
 
 
-def measured(problem, there):
+def differences(problem, there):
     """Whitened differences (seeds, rows) of a place."""
     out = []
     for seed in SEEDS:
         here, moved = problem.predictor.derivative_vectors([problem.origin, there], (seed,))
         out.append(problem.whitened(np.nan_to_num(moved - here)))
     return np.array(out)
+
+
+def report(families, whole, taken):
+    """Lines of a table: by family what moves, the noise of differences of whole codes, and that of those that are taken."""
+    yield f"{'family':34s} rows  moved by  noise of whole codes  noise as taken   (sigmas of all its rows)"
+    drawn = sorted({name for name in families if whole[:, families == name].var(axis=0).any()})
+    for name in [*drawn, "all"]:
+        own = families == name if name != "all" else np.ones(families.size, bool)
+        moved = np.linalg.norm(taken.mean(axis=0)[own])
+        noise = [np.sqrt(np.sum(part[:, own].var(axis=0, ddof=1))) for part in (whole, taken)]
+        yield f"{name:34s} {own.sum():4d}  {moved:8.1f}  {noise[0]:20.2f}  {noise[1]:14.2f}"
 
 
 def main() -> None:
@@ -54,21 +57,19 @@ def main() -> None:
     parser.add_argument("--model", type=Path, help="camera model (default: camera.toml in the campaign's folder)")
     parser.add_argument("--session", help="measurement session (default: the first)")
     asked = parser.parse_args()
-    campaign = load_campaign(asked.campaign)
-    campaign = campaign.session(asked.session or campaign.sessions[0])
-    found = []
-    for how in (as_a_camera_gives_them(), ExitStack()):
-        with how, prepare(load_model(asked.model or asked.campaign / "camera.toml"), campaign) as ready:
-            there = place_of(ready.problem, np.random.default_rng(DRAWN))
-            found.append(measured(ready.problem, there))
-            families = np.array([ready.problem.predictor.table.metrics[i].family for i in ready.problem.keep])
-    print(f"{'family':34s} rows  moved by  noise as taken by a camera  noise as diagnose takes it   (sigmas of all its rows)")
-    drawn = sorted({name for name in families if found[0][:, families == name].var(axis=0).any()})
-    for name in [*drawn, "all"]:
-        own = families == name if name != "all" else np.ones(families.size, bool)
-        moved = np.linalg.norm(found[1].mean(axis=0)[own])
-        before, now = (np.sqrt(np.sum(part[:, own].var(axis=0, ddof=1))) for part in found)
-        print(f"{name:34s} {own.sum():4d}  {moved:8.1f}  {before:26.2f}  {now:26.2f}")
+    try:
+        campaign = load_campaign(asked.campaign)
+        campaign = campaign.session(asked.session or campaign.sessions[0])
+        with prepare(load_model(asked.model or asked.campaign / "camera.toml"), campaign) as ready:
+            problem = ready.problem
+            there = place_of(problem, np.random.default_rng(DRAWN))
+            taken = differences(problem, there)
+            with patch("isetval.loop.difference_frames.DITHERED_DN2", np.inf):
+                whole = differences(problem, there)
+            families = np.array([problem.predictor.table.metrics[i].family for i in problem.keep])
+    except InputError as error:
+        raise SystemExit(str(error)) from None
+    print(*report(families, whole, taken), sep="\n")
 
 
 if __name__ == "__main__":

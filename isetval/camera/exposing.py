@@ -19,7 +19,7 @@ from isetval.core.sensor import Exposure, as_rational_time
 
 Float = NDArray[np.float64]
 PLASTIC = 1.324717957244746  # x^3 = x + 1
-LEFT_DITHER = 0.05  # of a code, where nothing is rounded: of a whole one 570 contrasts moved by 1.8 sigmas with an edge's place
+LEFT_DITHER = 0.05  # of a code, where nothing is rounded: no estimator meets data without noise; a 400th of its variance
 BIG_PX = 1_000_000  # below it starting threads costs more than they save
 NORMAL_ABOVE_E = 30.0  # skewness of a Poisson number 1/sqrt(30) = .18: its normal twin keeps mean and variance exactly
 
@@ -65,8 +65,8 @@ def expose(
             if mode == "expected":  # codes are whole: dither keeps means unbiased where no noise does
                 place = (roi.row0, roi.col0) if setup.regions else ()
                 rng = stream(seed, word("dither"), word(shot.name), frame, *place)
-                part = _even_dither(dn.shape, rng) if shot.levels_only else rng.random(dn.shape) - 0.5
-                dn = dn + (part if rounded else LEFT_DITHER * part)
+                dither = _even_dither(dn.shape, rng) if shot.levels_only else rng.random(dn.shape) - 0.5
+                dn = dn + (dither if rounded else LEFT_DITHER * dither)
             elif smooth:
                 dn = dithered(dn, code_step_dn(model), model.sensor.white_dn, own)
             codes[roi.row0 : roi.row1, roi.col0 : roi.col1] = _codes(dn) if rounded else np.clip(dn, 0, 65535)
@@ -76,7 +76,7 @@ def expose(
 
 def code_step_dn(model: Camera) -> float:
     """The step in DN between the codes of a camera's files, one at least; nan where not all pixels have one."""
-    return float(max([1.0, *(step for effect in model.effects if (step := effect.code_step_dn()))], key=lambda s: (s != s, s)))
+    return float(np.max([1.0, *(effect.code_step_dn() for effect in model.effects)]))
 
 
 def dithered(dn: NDArray[Any], step_dn: float, white_dn: float, context: Context) -> Float:

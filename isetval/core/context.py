@@ -195,7 +195,7 @@ class Context:
     def frame_numbers(self, kind: Literal["normal", "uniform", "dither"], shape: tuple[int, ...], part: int = 0) -> NDArray[Any]:
         """Unit normals (float32), uniforms, or parts of a code (float32) of this frame, the first that `rng` would draw.
 
-        They may be read-only: derivatives ask for the same numbers at every point: they are remembered.
+        Derivatives ask for the same numbers at every point: they are remembered, and read-only.
         """
 
         def drawn() -> NDArray[Any]:

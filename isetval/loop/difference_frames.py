@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -27,13 +28,21 @@ The error of rounding is evenly spread to 1e-6 there; estimators correct for wha
 """
 
 
+class Way(NamedTuple):
+    """Frames of a shot: the share of their metrics, whose they are, its hashes, and whether they are rounded."""
+
+    share: float
+    camera: CameraModel
+    halves: Halves
+    rounded: bool
+
+
 @dataclass(frozen=True, eq=False)
 class DifferenceFrames:
     """The frames of differences; ``noise_dn2`` is the temporal variance of each shot's darkest level, as it was measured."""
 
     noise_dn2: Mapping[str, float]
     _bare: WeakKeyDictionary[CameraModel, tuple[CameraModel, Halves]] = field(default_factory=WeakKeyDictionary)
-    _plain: WeakKeyDictionary[CameraModel, CameraModel] = field(default_factory=WeakKeyDictionary)
 
     @classmethod
     def of(cls, table: MetricTable) -> DifferenceFrames:
@@ -43,24 +52,26 @@ class DifferenceFrames:
             by_shot.setdefault(m.shot, []).append(m)
         return cls({shot: _least_noise_dn2(own) for shot, own in by_shot.items()})
 
-    def ways(self, camera: CameraModel, shot: Shot) -> list[tuple[float, CameraModel, bool]]:
-        """The frames whose metrics add up to a camera's in differences: shares, cameras, whether they are rounded.
+    def ways(self, camera: CameraModel, shots: Sequence[Shot]) -> dict[str, list[Way]]:
+        """The frames, by shot, whose metrics add up to a camera's in differences.
 
         Where noise is wide codes are dithered (`isetval.camera.exposing.dithered`).  What acts on codes as such needs them whole:
         its difference, of the same noise in the same light, is between rounded frames, and all else is of dithered ones.
         """
+        halves = Halves.of(camera)
+        whole = [Way(1.0, camera, halves, True)]
+        plain, own = self._without_codes(camera, halves)
+        smooth = [Way(1.0, plain, own, False)]
+        if plain is not camera:
+            smooth += [*whole, Way(-1.0, plain, own, True)]
         least = DITHERED_DN2 * code_step_dn(camera) ** 2  # nan, and so no dither, where not all pixels have one step
-        wide = self.noise_dn2.get(shot.name, np.nan) > least
-        if shot.given is not None or not wide:
-            return [(1.0, camera, True)]
-        plain = self._without_codes(camera)
-        smooth = (1.0, plain, False)
-        return [smooth] if plain is camera else [smooth, (1.0, camera, True), (-1.0, plain, True)]
+        wide = {shot.name for shot in shots if shot.given is None and self.noise_dn2.get(shot.name, np.nan) > least}
+        return {shot.name: smooth if shot.name in wide else whole for shot in shots}
 
     def without_patterns(self, camera: CameraModel) -> tuple[CameraModel, Halves]:
         """A camera without the fixed patterns of a specimen, and its hashes: frames without noise are to have none at all.
 
-        An edge that moved by a third of a pixel lay on other pixels, and .5 % of unevenness moved 570 contrasts by 4 sigmas.
+        An edge that moves lies on other pixels, and their unevenness is a noise of its contrasts.
         """
         patterns = [effect.name for effect in camera.effects if effect.random == "sensor"]
         if not patterns:
@@ -70,14 +81,13 @@ class DifferenceFrames:
             self._bare[camera] = (bare, Halves.of(bare))
         return self._bare[camera]
 
-    def _without_codes(self, camera: CameraModel) -> CameraModel:
-        """A camera without what acts on whole codes as such; made once, so that it is hashed once."""
+    def _without_codes(self, camera: CameraModel, halves: Halves) -> tuple[CameraModel, Halves]:
+        """A camera without what acts on whole codes as such, and its hashes; itself where nothing does."""
         acting = [effect.name for effect in camera.effects if effect.needs_codes()]
         if not acting:
-            return camera
-        if camera not in self._plain:
-            self._plain[camera] = _without(camera, acting)
-        return self._plain[camera]
+            return camera, halves
+        plain = _without(camera, acting)
+        return plain, Halves.of(plain)
 
 
 def _without(camera: CameraModel, names: Sequence[str]) -> CameraModel:

@@ -239,13 +239,12 @@ class Predictor:
         # most points share their values: what these set up is made and hashed once
         places = {id(point.values): point for point in points}
         setups = {key: self._set_up(point.values, point.model, True) for key, point in places.items()}
-        ways = [{shot.name: self._frames.ways(camera, shot) for shot in shots} for camera in cameras]
-        halves = {id(camera): Halves.of(camera) for own in ways for each in own.values() for _, camera, _ in each}
+        ways = [self._frames.ways(camera, shots) for camera in cameras]
         tasks = [
-            self._part((camera, halves[id(camera)], point.values), setups[id(point.values)][shot.name], seed, True, sign, rounded)
+            self._part((way.camera, way.halves, point.values), setups[id(point.values)][shot.name], seed, True, sign, way.rounded)
             for point, own, how in zip(points, draws, ways, strict=True)
             for shot, seed, sign in own
-            for _, camera, rounded in how[shot.name]
+            for way in how[shot.name]
         ]
         results = iter(self._vectors(tasks))
         out = []
@@ -255,8 +254,8 @@ class Predictor:
             for shot in shots:
                 total[self.rows[shot.name]] = 0.0
             for shot, *_ in own:
-                for share, *_ in how[shot.name]:
-                    total[self.rows[shot.name]] += share * next(results) / count[shot.name]
+                for way in how[shot.name]:
+                    total[self.rows[shot.name]] += way.share * next(results) / count[shot.name]
             out.append(total)
         return out
 

@@ -124,14 +124,14 @@ def test_narrow_noise_is_rounded(model, flats):
     """Half a code of noise: what rounding leaves of a dark's variance hangs on its level."""
     plan, table = flats
     frames = DifferenceFrames.of(table)
-    rounded = {shot.name: [whole for *_, whole in frames.ways(model, shot)] for shot in plan.shots}
+    rounded = {name: [way.rounded for way in ways] for name, ways in frames.ways(model, plan.shots).items()}
     assert rounded == {"dark": [True], "flat0": [False], "flat1": [False]}
     coarse = model.with_values({"quantization.step_dn": 8.0})
-    assert [whole for *_, whole in frames.ways(coarse, plan.shots[1])] == [True]
+    assert [way.rounded for way in frames.ways(coarse, plan.shots)["flat0"]] == [True]
 
 
 def test_an_edge_without_noise_has_no_pattern_either(model):
-    """Contrasts of an edge that moves by a third of a pixel: 4 sigmas of 570 of them hung on the specimen it lay on."""
+    """What contrasts say of an edge that moves by a third of a pixel does not hang on the specimen that it lies on."""
     edge = Shot(
         "edge", "edge", "e", target=EdgeTarget("edge", angle_deg=5.0), exposure=Exposure(0.01), light="sphere", window=WINDOW
     )

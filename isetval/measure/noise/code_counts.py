@@ -82,14 +82,14 @@ def total_counts(each: Sequence[Counts]) -> Counts:
 def _counted(capture: Capture, roi: RoiLike | None) -> dict[str, CodeCounts]:
     row0, row1, col0, col1 = check_roi(capture, roi)
     planes = planes_of(capture)
-    table = _table(_whole(capture.mosaic[row0:row1, col0:col1]), 1 if len(planes) == 1 else 2)
+    table = _table(whole_codes(capture.mosaic[row0:row1, col0:col1]), 1 if len(planes) == 1 else 2)
     places = {plane: plane_view(capture, plane, roi)[1] for plane in planes}
     return {plane: CodeCounts(table[:, row - row0, col - col0]) for plane, (row, col) in places.items()}
 
 
-def _whole(mosaic: NDArray[Any]) -> NDArray[np.uint16]:
-    """Codes; those of a simulated frame that was not rounded (`isetval.core.capture.ExpectedFrame`) are the nearest ones."""
-    return mosaic if mosaic.dtype == np.uint16 else np.rint(mosaic).astype(np.uint16)
+def whole_codes(mosaic: NDArray[Any]) -> NDArray[Any]:
+    """Whole codes (rows, cols), DN: of a simulated frame that was not rounded (`ExpectedFrame`) the nearest ones."""
+    return mosaic if np.issubdtype(mosaic.dtype, np.integer) else np.rint(mosaic).astype(np.uint16)
 
 
 def _table(mosaic: NDArray[np.uint16], step: int) -> Counts:

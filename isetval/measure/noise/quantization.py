@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from isetval.core.capture import Capture
 from isetval.core.quantity import Quantity
 from isetval.core.sensor import RoiLike
-from isetval.measure.noise.code_counts import code_counts, total_counts
+from isetval.measure.noise.code_counts import code_counts, total_counts, whole_codes
 
 Float = NDArray[np.float64]
 MIN_EXPECTED = 10.0  # a code expected ten times is missing by chance once in e^10 = 22 000
@@ -97,8 +97,7 @@ def _pixel_codes(views: Sequence[NDArray[Any]], bad: NDArray[np.bool_] | None) -
     """Codes (frames, pixels) counted from the lowest kept code, and that code."""
     step = -(-views[0].size // MAX_PIXELS)
     rows = slice(None, None, step) if views[0].shape[0] >= 8 * step else slice(None)
-    stack = np.stack([view[rows].ravel() for view in views])
-    stack = stack if np.issubdtype(stack.dtype, np.integer) else np.rint(stack).astype(np.int64)  # a simulated frame's
+    stack = np.stack([whole_codes(view[rows]).ravel() for view in views])
     if bad is not None and not bad[rows].all():
         stack = stack[:, ~bad[rows].ravel()]
     center, spread = _middle(np.bincount(stack.ravel()))
