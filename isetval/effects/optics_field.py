@@ -143,7 +143,10 @@ class Decenter(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class EtalonRipple(Effect):
-    """Interference in the cover glass: radial fringes on flats, washed out by broad-band light."""
+    """Interference in the cover glass: radial fringes on flats, washed out by broad-band light.
+
+    Asked with orders whose periods, 28 and 14 nm, are narrower than color filters: broader ones are what filters and lights do.
+    """
 
     name = "etalon_ripple"
     stage = "optics"
@@ -156,8 +159,7 @@ class EtalonRipple(Effect):
         "prnu",
         "vignetting",
     )
-    free = FreeAxis("field radius", "share", 0.5)
-    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"order_550": (20.0, 40.0, 10.0)}
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"order_550": (20.0, 40.0)}
     equation = (
         "E x (1 + a cos(phi) + b sin(phi)), phi = 2 pi (550 nm/lambda) m cos(theta'), sin(theta') = sin(theta)/1.5, theta the "
         "angle of the chief ray; m - n r^2 for m cos(theta') where n fringes to the corner are stated"
