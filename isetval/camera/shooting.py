@@ -156,11 +156,16 @@ def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotS
     return ShotSetup(shot, plan.lights.get(shot.light or ""), nuisance)
 
 
-def after_shot_before(setup: ShotSetup, camera: CameraModel, plan: Campaign, values: Mapping[str, float]) -> ShotSetup:
-    """The set-up with the charge of the shot before it, where an effect of the camera asks for it."""
+def after_shot_before(
+    setup: ShotSetup, camera: CameraModel, plan: Campaign, values: Mapping[str, float], shot: Shot | None = None
+) -> ShotSetup:
+    """The set-up with the charge of the shot before it, where an effect of the camera asks for it.
+
+    ``shot`` is the plan's where the set-up has it under another name.
+    """
     if not any(effect.needs_previous for effect in camera.effects):
         return setup
-    before = plan.before(setup.shot)
+    before = plan.before(shot or setup.shot)
     if before is None:
         return setup
     return replace(setup, before_e=float(mean_electrons(camera, shot_setup(plan, before, values)).mean()))

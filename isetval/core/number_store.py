@@ -12,6 +12,7 @@ import sqlite3
 import time
 import zlib
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +37,20 @@ class NumberStore:
     """
 
     def __init__(self, name: str) -> None:
-        self.path = cache_folder() / "metrics" / f"{content_hash((FORMAT, name, simulation_hash()))[:32]}.sqlite"
+        self.path = _path(name)
         self.items: dict[str, Float] = read_numbers(self.path)
         self._bytes = sum(vector.nbytes for vector in self.items.values())
         self._fresh: dict[str, Float] = {}
         self._saved = time.monotonic()
+
+    @classmethod
+    def shared(cls, name: str) -> NumberStore:
+        """The store of that name which this process has open, if any: what one of its users made, the others know."""
+        path = _path(name)
+        found = _OPEN.get(path)
+        if found is None:
+            found = _OPEN[path] = cls(name)
+        return found
 
     def get(self, key: str) -> Float | None:
         """The vector of a key, or None."""
@@ -62,6 +72,13 @@ class NumberStore:
             write_numbers(self.path, self._fresh)
             self._fresh = {}
         self._saved = time.monotonic()
+
+
+_OPEN: WeakValueDictionary[Path, NumberStore] = WeakValueDictionary()
+
+
+def _path(name: str) -> Path:
+    return cache_folder() / "metrics" / f"{content_hash((FORMAT, name, simulation_hash()))[:32]}.sqlite"
 
 
 def read_numbers(path: Path) -> dict[str, Float]:

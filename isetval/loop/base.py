@@ -66,7 +66,8 @@ def gathered(placed: Placed, replicas: int, n: int) -> tuple[Float, Float]:
     for parts in columns.values():
         rows = np.concatenate([rows for rows, _ in parts])
         loadings = np.hstack([part for _, part in parts])
-        covariance[np.ix_(rows, rows)] += loadings.T @ loadings / len(loadings)
+        felt = np.flatnonzero(np.any(loadings, axis=0))  # one row or so of each shot
+        covariance[np.ix_(rows[felt], rows[felt])] += loadings[:, felt].T @ loadings[:, felt] / len(loadings)
     return values, covariance
 
 

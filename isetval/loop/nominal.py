@@ -9,7 +9,7 @@ store.  A measurement that they do not suit (a much softer edge, patches with te
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
@@ -19,15 +19,16 @@ from isetval.camera.model import CameraModel
 from isetval.camera.shooting import shot_setup
 from isetval.core.cache import cache_folder, content_hash, load_json, save_json, simulation_hash
 from isetval.core.campaign import Campaign, Shot
+from isetval.core.capture import Capture
 from isetval.core.captures import MemoryCaptures
 from isetval.core.errors import InputError
 from isetval.loop.looked_at import looked_at
+from isetval.loop.stand_ins import Key, of_shot, renamed, stand_ins
 from isetval.loop.task_runner import Call, Runner
 from isetval.measure.campaign import analyses, measure_campaign
 
 SEED = 6_000  # of captures that nothing else is compared with
 DRAWS = 3  # sets of captures that choose together, where an analysis can: one alone chose oddly for an edge of most plans
-Key = tuple[Any, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,27 +38,47 @@ class Nominal:
     choices: Mapping[str, Any] = field(default_factory=dict)
     rows: Mapping[str, tuple[Key, ...]] = field(default_factory=dict)
 
+    def that_hold(self, shot: Shot, captures: Sequence[Capture]) -> dict[str, Any]:
+        """Those of the choices that suit a shot's captures; an analysis says so in ``holds``."""
+        offered = [(module, key) for key, module in _careful(shot) if key in self.choices]
+        return {key: self.choices[key] for module, key in offered if module.holds(shot, captures, self.choices[key])}
+
 
 def nominal_of(model: CameraModel, plan: Campaign, runner: Runner | None = None) -> Nominal:
     """Choices and rows of a plan under a model, made by the workers of a runner; kept in the cache folder by content.
 
     Shots whose rows are given by a metrics file have none, nor have shots that the model's captures cannot be measured for.
     """
-    shots = tuple(shot for shot in plan.shots if shot.given is None)
+    stand_for = {name: shot for name, shot in stand_ins(plan).items() if shot.given is None}
+    shots = {shot.name: shot for shot in stand_for.values()}
     if not shots:
         return Nominal()
-    names = {shot.name for shot in shots}
-    plan = plan.as_plan().only(names)
-    seen = [(s.name, s.seen, s.frames, s.method, s.channel, s.light and plan.lights[s.light].digest) for s in shots]
-    path = cache_folder() / "nominal" / f"{content_hash((SEED, simulation_hash(), model.digest(), seen))[:32]}.json"
-    if (known := _read(load_json(path))) is not None:
-        return known
-    calls = [Call(made_for, (model, plan.only([shot.name])), i) for i, shot in enumerate(plan.shots)]
-    found = dict((runner or Runner()).results(calls))
+    path = cache_folder() / "nominal" / f"{content_hash((SEED, simulation_hash(), model.digest(), sorted(shots)))[:32]}.json"
+    found = _read(load_json(path))
+    if found is None:
+        found = _made(model, plan, list(shots.values()), runner or Runner())
+        save_json(path, {"choices": found.choices, "rows": found.rows})
+    return _of_plan(found, stand_for)
+
+
+def _made(model: CameraModel, plan: Campaign, shots: Sequence[Shot], runner: Runner) -> Nominal:
+    """Of every shot alone, under the names that they are simulated by."""
+    calls = [Call(made_for, (model, replace(plan.as_plan(), shots=(shot,))), i) for i, shot in enumerate(shots)]
+    found = dict(runner.results(calls))
     choices = {key: value for i in range(len(calls)) for key, value in found[i].choices.items()}
     made = {"choices": choices, "rows": {name: rows for i in range(len(calls)) for name, rows in found[i].rows.items()}}
-    save_json(path, made)
     return _read(json.loads(json.dumps(made))) or Nominal()  # as it will be read: equal content, equal keys
+
+
+def _of_plan(found: Nominal, stand_for: Mapping[str, Shot]) -> Nominal:
+    """By the names that the plan's shots bear."""
+    choices: dict[str, Any] = {}
+    rows: dict[str, tuple[Key, ...]] = {}
+    for name, shot in stand_for.items():
+        choices |= of_shot(found.choices, shot.name, name)
+        if shot.name in found.rows:
+            rows[name] = tuple(renamed(key, name) for key in found.rows[shot.name])
+    return Nominal(choices, rows)
 
 
 def made_for(model: CameraModel, plan: Campaign) -> Nominal:
@@ -87,15 +108,3 @@ def _careful(shot: Shot) -> list[tuple[str, ModuleType]]:
     """The analyses of a shot that can say whether others' choices hold, by their keys among the choices."""
     modules = [module for module in analyses(shot.role) if hasattr(module, "holds")]
     return [(f"{shot.name}/{module.__name__.rsplit('.', 1)[-1]}", module) for module in modules]
-
-
-def that_hold(campaign: Campaign, nominal: Nominal) -> dict[str, Any]:
-    """Those of the nominal choices that suit a campaign's captures; an analysis says so in ``holds``."""
-    out: dict[str, Any] = {}
-    for shot in campaign.shots:
-        offered = [(module, key) for key, module in _careful(shot) if key in nominal.choices]
-        captures = campaign.captures.read(shot.name) if offered else ()
-        for module, key in offered:
-            if captures and module.holds(shot, captures, nominal.choices[key]):
-                out[key] = nominal.choices[key]
-    return out

@@ -30,6 +30,7 @@ from isetval.loop.difference_frames import DifferenceFrames
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
 from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part, sample_of, vectors_of
+from isetval.loop.stand_ins import of_shot, renamed, stand_ins
 from isetval.loop.task_runner import Call, Runner
 from isetval.loop.telling import Counted
 
@@ -99,19 +100,19 @@ class Predictor:
             by_shot.setdefault(m.shot, []).append(i)
         self.shots = tuple(shot for shot in self.plan.shots if shot.name in by_shot)
         self.rows = {shot.name: np.array(by_shot[shot.name]) for shot in self.shots}
-        self._wanted = {
-            name: Rows.of(list(dict.fromkeys([*(rows or {}).get(name, ()), *(self.keys[i] for i in own)])))
-            for name, own in self.rows.items()
-        }
-        self.pick = {name: self._wanted[name].places([self.keys[i] for i in own]) for name, own in self.rows.items()}
+        self._simulated = stand_ins(self.plan)
+        own_keys = {name: self._keys_of(name, [self.keys[i] for i in own]) for name, own in self.rows.items()}
+        plan_keys = {name: self._keys_of(name, (rows or {}).get(name, ())) for name in own_keys}
+        self._wanted = {name: Rows.of(list(dict.fromkeys([*plan_keys[name], *own]))) for name, own in own_keys.items()}
+        self.pick = {name: self._wanted[name].places(own) for name, own in own_keys.items()}
         self._number = _of_one_picture(self.shots)
         self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
-        self._choices = {shot.name: _of_shot(table.choices, shot.name) for shot in self.shots}
+        self._choices = {s.name: of_shot(table.choices, s.name, self._simulated[s.name].name) for s in self.shots}
         self._chosen = {name: content_hash(choices) for name, choices in self._choices.items()}
         self._frames = DifferenceFrames.of(table)
-        self._through = {shot.name: _with_clipped(shot, self._choices[shot.name]) for shot in self.shots}
+        self._through = {s.name: _for_differences(self._simulated[s.name], self._choices[s.name]) for s in self.shots}
         self._regions: dict[str, tuple[Roi, ...]] = {}
-        self._memo = NumberStore(repr([shot.name for shot in self.shots]))
+        self._memo = NumberStore.shared(repr(sorted({self._simulated[shot.name].name for shot in self.shots})))
         self._runner = Runner(jobs, progress)
 
     @property
@@ -124,6 +125,7 @@ class Predictor:
         other = object.__new__(Predictor)
         other.__dict__.update(self.__dict__, plan=plan.as_plan())
         other.shots = tuple(shot for shot in plan.shots if shot.name in self.rows)
+        other._simulated = {shot.name: replace(shot, name=self._simulated[shot.name].name) for shot in plan.shots}
         return other
 
     def only(self, names: Collection[str]) -> Predictor:
@@ -165,12 +167,16 @@ class Predictor:
         self._memo.save()
         self._runner.close()
 
+    def _keys_of(self, name: str, keys: Sequence[Any]) -> list[tuple[Any, ...]]:
+        """Keys of the rows of a shot, as the one that is simulated in its place has them."""
+        return [renamed(key, self._simulated[name].name) for key in keys]
+
     def parts(self, point: Point, seed: int, *, derivative: bool) -> list[ShotPart]:
         """The shots of a point, each with its choices."""
         camera = camera_with(point.model, self.plan, point.values)
         halves, setups = Halves.of(camera), self._set_up(point.values, camera, derivative)
         place = (camera, halves, point.values)
-        return [self._part(place, setups[shot.name], seed, derivative) for shot in self.shots]
+        return [self._part(place, shot, setups[shot.name], seed, derivative) for shot in self.shots]
 
     def _set_up(self, values: Mapping[str, float], camera: CameraModel, derivative: bool) -> dict[str, ShotSetup]:
         """Every shot by name as the values of nuisances set it up, with the regions that are looked at."""
@@ -178,6 +184,7 @@ class Predictor:
 
     def _as_asked(self, setup: ShotSetup, camera: CameraModel, derivative: bool) -> ShotSetup:
         shot = setup.shot
+        setup = replace(setup, shot=self._simulated[shot.name])
         if derivative and self.differences[shot.name].one_frame:
             setup = setup.of_one_frame()
         if shot.name not in self._regions:
@@ -187,6 +194,7 @@ class Predictor:
     def _part(
         self,
         place: Place,
+        shot: Shot,
         setup: ShotSetup,
         seed: int,
         derivative: bool,
@@ -194,12 +202,11 @@ class Predictor:
         rounded: bool = True,
     ) -> ShotPart:
         camera, halves, values = place
-        shot = setup.shot
         how = self.differences[shot.name]
         if derivative and how.noise_free and shot.given is None:
             camera, halves = self._frames.without_patterns(camera)
             mirrored, seed = frozenset(), 0
-        setup = after_shot_before(setup, camera, self.plan, values)
+        setup = after_shot_before(setup, camera, self.plan, values, shot)
         mean_only = how.noise_free or shot.levels_only  # a resampled picture's noise is not its sensor's
         mode: Mode = "capture" if not derivative else "expected" if mean_only else "derivative"
         choices, chosen = self._through[shot.name] if derivative else (self._choices[shot.name], self._chosen[shot.name])
@@ -211,7 +218,7 @@ class Predictor:
         if mode == "expected":
             rounded = not how.noise_free or shot.given is not None
         seed = seed if is_noisy(shot, choices) else 0
-        return ShotPart(camera, setup, seed, mode, choices, halves, chosen, rounded, mirrored)
+        return ShotPart(camera, setup, seed, mode, choices, halves, chosen, shot.name, rounded, mirrored)
 
     def derivative_vectors(
         self,
@@ -241,7 +248,9 @@ class Predictor:
         setups = {key: self._set_up(point.values, point.model, True) for key, point in places.items()}
         ways = [self._frames.ways(camera, shots) for camera in cameras]
         tasks = [
-            self._part((way.camera, way.halves, point.values), setups[id(point.values)][shot.name], seed, True, sign, way.rounded)
+            self._part(
+                (way.camera, way.halves, point.values), shot, setups[id(point.values)][shot.name], seed, True, sign, way.rounded
+            )
             for point, own, how in zip(points, draws, ways, strict=True)
             for shot, seed, sign in own
             for way in how[shot.name]
@@ -270,7 +279,7 @@ class Predictor:
 
         A chart costs ten times as much as a flat.
         """
-        pixels = {part.setup.shot.name: part.pixels for part in self.parts(point, 0, derivative=True)}
+        pixels = {part.of: part.pixels for part in self.parts(point, 0, derivative=True)}
         small = frozenset(name for name, n in pixels.items() if n <= np.mean(list(pixels.values())))
         return small if len(small) < len(pixels) else frozenset()
 
@@ -287,10 +296,10 @@ class Predictor:
         groups = [[parts[k] for parts in every] for k, shot in enumerate(self.shots) if shot.name not in samples]
         place = {shot.name: k for k, shot in enumerate(further.shots)}
         for group in groups if more else ():
-            if (name := group[0].setup.shot.name) in place:
+            if (name := group[0].of) in place:
                 group += [parts[place[name]] for parts in more]
         for group, vector in zip(groups, self.known_or_made(sample_of, groups, [(count,)] * len(groups)), strict=True):
-            name = group[0].setup.shot.name
+            name = group[0].of
             samples[name] = Sampled.unpacked(vector).only(self.pick[name])
         placed = [(self.rows[shot.name], samples[shot.name]) for shot in self.shots]
         values, covariance = gathered(placed, replicas, len(self.keys))
@@ -306,13 +315,13 @@ class Predictor:
         rendered = [task for task in tasks if isinstance(task.setup.shot.target, RenderedTarget)]
         calls = [self._call(render_part, [task]) for task in rendered]
         for i, part in self._runner.results(calls):
-            name = rendered[i].setup.shot.name
+            name = rendered[i].of
             if part is not None:
                 out[np.ix_(self.rows[name], self.rows[name])] = part[np.ix_(self.pick[name], self.pick[name])]
         return out
 
     def _call(self, function: Any, tasks: Sequence[ShotPart], *more: Any) -> Call:
-        shot = tasks[0].setup.shot.name
+        shot = tasks[0].of
         return Call(function, (tasks, self._wanted[shot], *more), self._number[shot], len(tasks))
 
     def _vectors(self, tasks: list[ShotPart]) -> list[Float]:
@@ -324,10 +333,10 @@ class Predictor:
         for i, vectors in self._runner.results(calls):
             for key, vector in zip(groups[i], vectors, strict=True):
                 self._memo.put(key, vector)
-        return [self._memo.items[key][self.pick[task.setup.shot.name]] for key, task in zip(keys, tasks, strict=True)]
+        return [self._memo.items[key][self.pick[task.of]] for key, task in zip(keys, tasks, strict=True)]
 
     def _key(self, task: ShotPart) -> str:
-        return task.key + self._wanted[task.setup.shot.name].digest
+        return task.key + self._wanted[task.of].digest
 
     def known_or_made(self, function: Any, groups: Sequence[Sequence[ShotPart]], more: Sequence[tuple[Any, ...]]) -> list[Float]:
         """What ``function(tasks, rows, *more)`` gives for groups of tasks of one shot, from the store where it is known."""
@@ -335,7 +344,7 @@ class Predictor:
             content_hash((function.__name__, [self._key(task) for task in group], extra))
             for group, extra in zip(groups, more, strict=True)
         ]
-        missing = [i for i, key in enumerate(keys) if self._memo.get(key) is None]
+        missing = list({key: i for i, key in enumerate(keys) if self._memo.get(key) is None}.values())
         for i, vector in self._runner.results([self._call(function, groups[i], *more[i]) for i in missing]):
             self._memo.put(keys[missing[i]], vector)
         return [self._memo.items[key] for key in keys]
@@ -355,23 +364,22 @@ def _by_shot(tasks: Mapping[str, ShotPart]) -> Iterator[list[str]]:
     """Keys of tasks that can be measured together: of one shot with equal choices, at most `TOGETHER`."""
     groups: dict[tuple[str, str], list[str]] = {}
     for key, task in tasks.items():
-        groups.setdefault((task.setup.shot.name, task.chosen), []).append(key)
+        groups.setdefault((task.of, task.chosen), []).append(key)
     for group in groups.values():
         step = max(1, min(TOGETHER, LIT_PIXELS // tasks[group[0]].pixels))
         for i in range(0, len(group), step):
             yield group[i : i + step]
 
 
-def _of_shot(choices: Mapping[str, Any], shot: str) -> dict[str, Any]:
-    return {key: made for key, made in choices.items() if key.startswith(f"{shot}/")}
+def _for_differences(shot: Shot, choices: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
+    """Choices and their hash for differences: patches that clip at a point keep their rows, which else would jump.
 
-
-def _with_clipped(shot: Shot, choices: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
-    """Choices and their hash for differences: patches that clip at a point keep their rows, which else would jump."""
+    They are values alone (`isetval.measure.analyses.patches`).
+    """
     if shot.role not in ("chart", "scene") or shot.given is not None:
         return choices, content_hash(choices)
     key = f"{shot.name}/patches"
-    through = {**choices, key: {**choices.get(key, {}), "with_clipped": True}}
+    through = {**choices, key: {**choices.get(key, {}), "for_differences": True}}
     return through, content_hash(through)
 
 

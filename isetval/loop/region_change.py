@@ -25,6 +25,7 @@ from isetval.loop.given_side import shoot
 from isetval.loop.prediction import BASE_SEED
 from isetval.loop.problem import Problem
 from isetval.loop.shot_task import HELD_PIXELS, Rows, ShotPart
+from isetval.loop.stand_ins import of_shot
 from isetval.loop.telling import Teller
 from isetval.measure.campaign import measure_shot, measure_shots
 
@@ -71,13 +72,14 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign, say: Teller
         measured = _measured(inner, campaign) if inner is not None else None
         if inner is not None and measured is not None:
             groups.append(tasks)
-            more.append((inner, measured[1]))
+            name = tasks[0].setup.shot.name
+            more.append((replace(inner, name=name), of_shot(measured[1], inner.name, name)))
             found.append(measured[0])
     change, noise = (np.full(len(predictor.keys), np.nan) for _ in range(2))
     simulated = predictor.known_or_made(differences_of, groups, more)
     for tasks, blocks, vector in zip(groups, found, simulated, strict=True):
-        own = predictor.rows[tasks[0].setup.shot.name]
-        moved = vector.reshape(REPLICAS, -1)[:, predictor.pick[tasks[0].setup.shot.name]]
+        own = predictor.rows[tasks[0].of]
+        moved = vector.reshape(REPLICAS, -1)[:, predictor.pick[tasks[0].of]]
         inside = Rows.of([predictor.keys[i] for i in own]).values(blocks)
         change[own] = inside - problem.measured[own] - moved.mean(axis=0)
         noise[own] = moved.var(axis=0, ddof=1) * (1 + 1 / REPLICAS)

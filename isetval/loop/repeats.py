@@ -86,8 +86,10 @@ def repeat_differences(
     for i, (a, b) in enumerate(rows):
         pick[i, a], pick[i, b] = 1.0, -1.0
     local = pick[:, problem.keep]
-    covariance = problem.covariance[np.ix_(problem.keep, problem.keep)] / problem.base.with_simulation(problem.keep)
-    spread = local @ covariance @ local.T + (
+    paired = np.any(local, axis=0)
+    both = problem.keep[paired]
+    covariance = problem.covariance[np.ix_(both, both)] / problem.base.with_simulation(both)
+    spread = local[:, paired] @ covariance @ local[:, paired].T + (
         _set_up_part(problem, fitted or prepared.fit_nuisances(prepared.model), local) if rows else 0.0
     )
     return rows, pick @ np.nan_to_num(table.values), spread

@@ -74,6 +74,7 @@ class Rows:
 class ShotPart:
     """What one worker needs to shoot and measure one shot; ``halves`` and ``chosen`` are the hashes of model and choices.
 
+    ``of`` is the name of the plan's shot, of which the simulated one may bear another (`isetval.loop.stand_ins`).
     Frames are ``rounded`` to codes where their estimators count codes, or where noise is too narrow for a dither to stand for
     it: differences of frames that are not follow their parameters without steps.  Effects that ``mirrored`` names draw their
     unit normals with the other sign.
@@ -86,6 +87,7 @@ class ShotPart:
     choices: Mapping[str, Any]
     halves: Halves
     chosen: str
+    of: str
     rounded: bool = True
     mirrored: frozenset[str] = frozenset()
 

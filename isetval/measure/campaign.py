@@ -20,6 +20,7 @@ from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
 
 Progress = Callable[[str, int, int], None]
+ChoicesFor = Callable[[Shot, Sequence[Capture]], Mapping[str, Any]]
 LEVELS = ("mean", "patch_mean", "line_profile", "patch_ratio", "relative_illumination")
 """Rows that resampling leaves as they are: means, not noise."""
 HELD_PIXELS = 70_000_000  # 140 MB of frames kept for the summaries of a session; what is beyond is decoded again
@@ -53,7 +54,7 @@ def _kept(shot: Shot, block: Block) -> Block:
 def measure_campaign(
     campaign: Campaign,
     *,
-    choices: Mapping[str, Any] | None = None,
+    choices: Mapping[str, Any] | ChoicesFor | None = None,
     progress: Progress | None = None,
     summaries: bool = True,
     patches: Mapping[str, Any] | None = None,
@@ -64,9 +65,9 @@ def measure_campaign(
     ----------
     campaign : Campaign
         With captures, from files or from a simulation.
-    choices : mapping, optional
+    choices : mapping or callable, optional
         ``MetricTable.choices`` of another measurement of the same plan: what estimators chose from
-        the data (edge order, cuts) is taken from there.
+        the data (edge order, cuts) is taken from there.  A function gives them for a shot and its captures, which are read once.
     progress : callable, optional
         Called as ``progress(shot name, done, all)``.
     summaries : bool
@@ -100,7 +101,8 @@ def measure_campaign(
             blocks.append(given)
             made[f"{shot.name}/given"] = dict(given.choices)
         if captures:
-            known = _with_patch_options(shot, choices or {}, patches)
+            chosen = choices(shot, captures) if callable(choices) else choices or {}
+            known = _with_patch_options(shot, chosen, patches)
             for name, block in _analyzed(shot, captures, known, notes):
                 blocks.append(block)
                 if block.choices:
@@ -152,6 +154,8 @@ def _listed(shot: Shot, notes: list[str], *, alone: bool) -> Block:
 
 def _drop_repeated(blocks: list[Block], given: Block) -> list[str]:
     """Take given rows out that the shot's own captures are measured for as well; says so."""
+    if not given.metrics:
+        return []
     measured = {m.key() for block in blocks if block is not given for m in block.metrics}
     repeated = {m.key() for m in given.metrics} & measured
     if not repeated:

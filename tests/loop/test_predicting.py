@@ -14,6 +14,7 @@ from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.gaussian import scatter
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.shot_task import Sampled
+from isetval.loop.stand_ins import of_shot, stand_ins
 from isetval.loop.telling import Teller
 from isetval.loop.weighing import make_problem
 from isetval.measure.campaign import measure_campaign, measure_shot, measure_shots
@@ -79,11 +80,21 @@ def test_shots_measured_together_are_as_measured_alone(model, plan, table):
         np.testing.assert_allclose([m.sigma for m in blocks[0].metrics], [m.sigma for m in alone.metrics], rtol=1e-9)
 
 
+def measured_alone(model, plan, table, seed):
+    """A campaign that a prediction simulates, shot and measured one by one: its shots are named by what they see."""
+    named = stand_ins(plan)
+    choices = {k: v for name, shot in named.items() for k, v in of_shot(table.choices, name, shot.name).items()}
+    shot = simulate(model, replace(plan, shots=tuple(named.values())), seed)
+    found, own = measure_campaign(shot, choices=choices, summaries=False), {s.name: name for name, s in named.items()}
+    blocks = [replace(b, metrics=tuple(replace(m, shot=own[m.shot]) for m in b.metrics)) for b in found.blocks]
+    return replace(found, blocks=tuple(blocks))
+
+
 def test_the_base_is_the_mean_of_its_campaigns(model, plan, table, monkeypatch):
     """Against campaigns shot and measured one by one: mean and stated covariance of the first four."""
     monkeypatch.setenv("ISETVAL_CACHE", "off")
     base = Predictor(plan, table).base(Point(model), 6)
-    tables = [measure_campaign(simulate(model, plan, 7000 + r), choices=table.choices, summaries=False) for r in range(6)]
+    tables = [measured_alone(model, plan, table, 7000 + r) for r in range(6)]
     keys = [m.key() for m in table.metrics]
     values = np.array([[dict(zip((m.key() for m in t.metrics), t.values, strict=True))[k] for k in keys] for t in tables])
     np.testing.assert_allclose(base.values, values, rtol=1e-9, atol=1e-12)
@@ -98,7 +109,7 @@ def test_error_bars_of_darks_are_known_from_further_replicas(model, plan, table,
     dark = np.array([m.shot == "dark" for m in table.metrics])
     np.testing.assert_array_equal(more.values, few.values)
     np.testing.assert_array_equal(more.scale[~dark], few.scale[~dark])
-    tables = [measure_campaign(simulate(model, plan, 7000 + r), choices=table.choices, summaries=False) for r in range(12)]
+    tables = [measured_alone(model, plan, table, 7000 + r) for r in range(12)]
     keys = [m.key() for m in table.metrics]
     values = np.array([[dict(zip((m.key() for m in t.metrics), t.values, strict=True))[k] for k in keys] for t in tables])
     stated = np.mean([t.covariance() for t in tables[:4]], axis=0)

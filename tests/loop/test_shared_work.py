@@ -92,7 +92,7 @@ def test_equal_frames_are_measured_once_and_give_what_each_alone_gives(model, pl
     )
     vectors = predictor.derivative_vectors(points)
     parts = [predictor.parts(p, 101, derivative=True) for p in points]
-    alone = [[predictor._wanted[t.setup.shot.name].values(shot_task.blocks_of([t])[0]) for t in own] for own in parts]
+    alone = [[predictor._wanted[t.of].values(shot_task.blocks_of([t])[0]) for t in own] for own in parts]
     for vector, own in zip(vectors, alone, strict=True):
         for shot, values in zip(predictor.shots, own, strict=True):
             np.testing.assert_array_equal(vector[predictor.rows[shot.name]], values[predictor.pick[shot.name]])

@@ -123,4 +123,6 @@ def test_strong_row_noise_has_its_name_where_a_family_has_eight_rows(sigma_dn):
     assert [e.name for e in found.effects] == ["temporal_row_noise"]
     told = found.effects[0].parameters["sigma_dn"]
     assert abs(told.value - sigma_dn) < 2.5 * told.sigma
-    assert 0.02 < told.sigma / told.value < 0.06  # 48 rows in 3 differences of frames, twice: 1/sqrt(2 x 288) = .042
+    # 48 rows in 3 differences of frames, twice: 1/sqrt(2 x 288) = .042; the scale that 16 replicas give eight rows is known to
+    # 1 in 7: .050 +- .007 over eight sets of random numbers, .042 to .061
+    assert 0.02 < told.sigma / told.value < 0.075

@@ -74,7 +74,9 @@ class _FrameSums:
         return np.asarray((self.second - self.first * self.mean) / max(self.frames - 1, 1))
 
 
-def patches_over_frames(captures: Iterable[Capture], boxes: Sequence[RoiLike] | ArrayLike) -> FramePatches:
+def patches_over_frames(
+    captures: Iterable[Capture], boxes: Sequence[RoiLike] | ArrayLike, *, errors: bool = True
+) -> FramePatches:
     """Means of boxes over frames of one set-up, with temporal and fixed sigma.
 
     Parameters
@@ -83,6 +85,8 @@ def patches_over_frames(captures: Iterable[Capture], boxes: Sequence[RoiLike] | 
         Frames of one window; gone through once, none is kept.
     boxes : (patches, 4)
         (row0, row1, col0, col1), half open, in pixels of the capture; each at least 4 x 4 pixels.
+    errors : bool
+        Whether sigmas are told from several frames; without, they are 0.
 
     Raises
     ------
@@ -95,6 +99,8 @@ def patches_over_frames(captures: Iterable[Capture], boxes: Sequence[RoiLike] | 
     first = None
     for capture in captures:
         found.append(chart_patches_at(capture, table))
+        if not errors:
+            continue
         if first is None:  # one frame alone has nothing to be summed for
             first = capture
             continue
@@ -103,7 +109,7 @@ def patches_over_frames(captures: Iterable[Capture], boxes: Sequence[RoiLike] | 
         _add_patches(sums, capture, found[-1], table)
     if not found:
         raise InputError("no captures were given; patches need at least one frame")
-    temporal, fixed = _split(sums, found)
+    temporal, fixed = _split(sums, found) if errors else (np.zeros_like(found[0].mean_dn),) * 2
     return FramePatches(
         planes=found[0].planes,
         mean_dn=np.mean([f.mean_dn for f in found], axis=0),
