@@ -62,7 +62,7 @@ def diagnose(
     with_next_captures : bool
         Search the captures that would tell close candidates apart.
     limit_s : float
-        Seconds that it may take.  A third of them is for naming (`search.SEARCH`): what stands then is weighed and asked of the
+        Seconds that it may take.  Half of them is for naming (`search.SEARCH`): what stands then is weighed and asked of the
         hold-out as at any other end, and ``not_looked_at`` says what the search was at.  Where all of them are over before that,
         it stops at the next shot that is done, with the verdict ``unfinished`` and the best statement so far.
 
