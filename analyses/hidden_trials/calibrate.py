@@ -17,7 +17,7 @@ import numpy as np
 import isetval
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
-from isetval.loop.nominal import nominal_of, that_hold
+from isetval.loop.nominal import nominal_of
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
 from isetval.loop.score_test import make_frame
@@ -59,7 +59,7 @@ class Calibration:
 
     def _values(self, campaign):
         """Values in the order of the first campaign's metrics, measured as a diagnosis does; nan where one cannot be measured."""
-        table = measure_campaign(campaign, choices=that_hold(campaign, self.choices), summaries=False)
+        table = measure_campaign(campaign, choices=self.choices.that_hold, summaries=False)
         found = {m.key(): v for m, v in zip(table.metrics, table.values, strict=True)}
         return np.array([found.get(m.key(), np.nan) for m in self.prepared.table.metrics])
 

@@ -87,7 +87,7 @@ def test_a_chart_that_shows_texture_keeps_its_own_patches(model, plan):
 def test_choices_are_those_that_most_captures_make(draws, all_hold, monkeypatch):
     """In a shaded corner every third capture finds the light even, by its noise: choices made on that did not hold for others."""
     monkeypatch.setattr(nominal, "DRAWS", draws)
-    monkeypatch.setattr(nominal, "SEED", 6_200)  # of which the first capture is such a one, in two colours
+    monkeypatch.setattr(nominal, "SEED", 6_100)  # of which the first capture is such a one, in two colours
     model = load_model(data_folder() / "pixel4a" / "camera.toml")
     target = EdgeTarget("edge", angle_deg=5.0)
     how = {"exposure": Exposure(0.01), "frames": 2, "light": "sphere", "window": (700, 900, 96, 96)}
