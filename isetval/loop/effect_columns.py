@@ -43,12 +43,13 @@ def effect_slopes(
 ) -> dict[str, Float]:
     """Raw derivatives (metrics,) by parameters of effects, by label; those that were taken near by are taken from there.
 
-    What draws numbers, and what moves focus, is differenced at its place each time, and everything if it is to be ``anew``.
+    What is counted in few pixels, and what moves focus, is differenced at its place each time, and everything if it is to be
+    ``anew``.  Columns of noise are those of the same draws, and grow with its strength: all that it does goes as the square.
     """
     if not free:
         return {}
-    wanted = _by_effect(point.model, free, focus)
-    steady = [w for w in wanted if w.effect.random == "none" and not moves_focus(w.effect)]
+    wanted = _by_effect(problem, point.model, free, focus)
+    steady = [w for w in wanted if _is_smooth(w.effect) and not moves_focus(w.effect)]
     here = _seen_from(problem, point) if steady else np.zeros(0)
     known = {} if anew else {w.key: problem.effects[w.key] for w in steady if _holds(problem, w, here, both_sides)}
     missing = [w for w in wanted if w.key not in known]
@@ -60,11 +61,24 @@ def effect_slopes(
             problem.effects[w.key] = Taken(columns, w.values, steps, here, both_sides)
     for w in wanted:
         if w.key in known:
-            out |= dict(zip((f.label for f in w.free), problem.effects[w.key].slopes.T, strict=True))
+            out |= dict(zip((f.label for f in w.free), _at_its_strength(w, problem.effects[w.key]).T, strict=True))
     return out
 
 
-def _by_effect(model: CameraModel, free: Sequence[Parameter], focus: Sequence[Parameter]) -> list[_Wanted]:
+def _is_smooth(effect: Effect) -> bool:
+    """Whether its derivatives are those of its parameters alone, and not of which few pixels it happens to strike."""
+    return effect.random == "none" or effect.draws_normals
+
+
+def _at_its_strength(wanted: _Wanted, taken: Taken) -> Float:
+    """Remembered columns (metrics, parameters), those of noise as it is strong here: d/ds of s^2."""
+    if wanted.effect.random == "none":
+        return taken.slopes
+    of_noise = np.array([f.low == 0.0 for f in wanted.free]) & (taken.values > 0)
+    return np.asarray(taken.slopes * np.where(of_noise, wanted.values / np.where(of_noise, taken.values, 1.0), 1.0))
+
+
+def _by_effect(problem: Problem, model: CameraModel, free: Sequence[Parameter], focus: Sequence[Parameter]) -> list[_Wanted]:
     groups: dict[str, list[Parameter]] = {}
     for f in free:
         groups.setdefault(f.owner, []).append(f)
@@ -75,7 +89,8 @@ def _by_effect(model: CameraModel, free: Sequence[Parameter], focus: Sequence[Pa
         # all that is held: what does nothing here (the place of a line of no height) says how the effect starts to act
         held = tuple(item for item in effect.values().items() if item[0] not in values)
         form = tuple(item for item in effect.content() if not (isinstance(item, tuple) and item[0] in values))
-        key = (form, held, tuple(values), tuple(f.label for f in focus))
+        draws = () if effect.random == "none" else problem.seeds
+        key = (form, held, tuple(values), tuple(f.label for f in focus), draws)
         out.append(_Wanted(effect, tuple(own), key, np.array(list(values.values()))))
     return out
 

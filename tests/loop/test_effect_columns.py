@@ -10,7 +10,7 @@ from isetval.core.sensor import Exposure
 from isetval.loop import effect_columns
 from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import jacobian, nuisance_parameters
-from isetval.loop.prediction import Point
+from isetval.loop.prediction import NOISE_SEEDS, Point
 from isetval.loop.prepared import prepare
 
 LEVEL = "light_level@set-up:flat"
@@ -49,13 +49,13 @@ def candidate(model, name):
     return next(c for c in candidates_for(model) if c.name == name)
 
 
-def columns(problem, *members, values=None, **how):
-    """The Jacobian of nuisances and of (candidate, value)s, with steps of `STEP`."""
+def columns(problem, *members, values=None, step=STEP, **how):
+    """The Jacobian of nuisances and of (candidate, value)s, with steps of one length."""
     point = problem.nominal
     for member, value in members:
         point = point.with_effect(member.effect).with_values({member.keys[0]: value})
     free = nuisance_parameters(problem.plan, problem.nominal)
-    own = [p for member, _ in members for p in member.free([STEP] * len(member.keys))]
+    own = [p for member, _ in members for p in member.free([step] * len(member.keys))]
     return jacobian(problem, Point(point, values or {}), (*free, *own), **how)
 
 
@@ -111,9 +111,26 @@ def test_a_difference_from_one_side_is_no_central_one(model, problem, taken):
     assert taken == list(bent.keys)
 
 
-def test_what_draws_numbers_is_differenced_each_time(model, problem, taken):
+def test_noise_is_remembered_with_its_draws_and_grows_with_its_strength(model, problem, taken):
     noise = candidate(model, "row_fpn")
-    columns(problem, (noise, 0.02), both_sides=True)
+    drawn = problem.with_draws(NOISE_SEEDS)
+    first = columns(drawn, (noise, 0.5), both_sides=True, step=0.25)
     taken.clear()
-    columns(problem, (noise, 0.02), both_sides=True)
+    again = columns(drawn, (noise, 0.51), both_sides=True, step=0.25)
+    assert not taken
+    np.testing.assert_allclose(again[:, -1], 1.02 * first[:, -1], rtol=1e-12)
+    fresh = columns(drawn, (noise, 0.51), both_sides=True, step=0.25, stale=0.0)
+    assert np.linalg.norm(again[:, -1] - fresh[:, -1]) < 0.01 * np.linalg.norm(fresh[:, -1])
+    taken.clear()
+    columns(problem, (noise, 0.5), both_sides=True, step=0.25)  # over one draw
     assert taken == list(noise.keys)
+
+
+@pytest.mark.parametrize("name", ["rts", "hot_pixels"])
+def test_what_strikes_few_pixels_is_differenced_each_time(model, problem, taken, name):
+    struck = candidate(model, name)
+    value = float(struck.nominal[0] + struck.tau[0])
+    columns(problem, (struck, value), both_sides=True)
+    taken.clear()
+    columns(problem, (struck, value), both_sides=True)
+    assert taken == list(struck.keys)

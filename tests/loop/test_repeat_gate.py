@@ -122,7 +122,9 @@ def test_contrasts_that_may_be_on_either_side_of_zero_do_not_decide(values, fami
     rows = [Metric("x", float(v), 0.01, "1", shot=s, channel="red", family=family) for s, v in zip("ab", lengths, strict=True)]
     table = SimpleNamespace(metrics=rows, values=lengths)
     problem = SimpleNamespace(
-        keep=np.arange(2), covariance=1e-4 * np.eye(2), base=SimpleNamespace(with_simulation=lambda keep: np.ones((len(keep),) * 2))
+        keep=np.arange(2),
+        covariance=1e-4 * np.eye(2),
+        base=SimpleNamespace(with_simulation=lambda keep: np.ones((len(keep),) * 2)),
     )
     prepared = SimpleNamespace(
         table=table, campaign=SimpleNamespace(shots=SHOTS), fit_nuisances=lambda model: SimpleNamespace(free=()), model=None
