@@ -21,14 +21,15 @@ from isetval.camera.shooting import after_shot_before, camera_with, shot_setup
 from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.context import Mode
-from isetval.core.metric import Differences, MetricTable
+from isetval.core.metric import MetricTable
 from isetval.core.number_store import NumberStore
-from isetval.core.scene import ChartTarget, RenderedTarget
+from isetval.core.scene import RenderedTarget
 from isetval.core.sensor import Roi
 from isetval.loop.base import Base, averaged, gathered, scattered
 from isetval.loop.difference_frames import DifferenceFrames
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
+from isetval.loop.shot_groups import by_shot, for_differences, joint_differences, of_one_picture
 from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part, sample_of, vectors_of
 from isetval.loop.stand_ins import of_shot, renamed, stand_ins
 from isetval.loop.task_runner import Call, Runner
@@ -37,7 +38,6 @@ from isetval.loop.telling import Counted
 Float = NDArray[np.float64]
 REPLICAS = 16  # the mean of so many adds 1/16 to the variance of a difference, 3 % to its sigma
 COVARIANCE_REPLICAS = 4  # stated covariances scatter little; the scatter of all replicas scales them
-TOGETHER = 16  # differences of one shot in one call: edges are measured four times as fast in a stack as alone
 DERIVATIVE_SEEDS = (101,)  # common random numbers: one draw tells a difference to the second order
 # signatures have seeds of their own: what rounding does to a fit must not look like a signature
 SIGNATURE_SEEDS = (201,)
@@ -46,7 +46,6 @@ RANDOM_SEEDS = (201, 202)
 SPECIMEN_SEEDS = tuple(range(101, 113))
 # noise turns some of the pixels to another code: 1.3 sigmas of all rows in one draw of both signs, .6 in four
 NOISE_SEEDS = SPECIMEN_SEEDS[:4]
-LIT_PIXELS = 30_000_000  # whose light, 240 MB, is held until a call is done
 BASE_SEED = 7_000  # replicas have seeds that neither captures nor differences use
 Place = tuple[CameraModel, Halves, Mapping[str, float]]
 
@@ -105,12 +104,12 @@ class Predictor:
         plan_keys = {name: self._keys_of(name, (rows or {}).get(name, ())) for name in own_keys}
         self._wanted = {name: Rows.of(list(dict.fromkeys([*plan_keys[name], *own]))) for name, own in own_keys.items()}
         self.pick = {name: self._wanted[name].places(own) for name, own in own_keys.items()}
-        self._number = _of_one_picture(self.shots)
-        self.differences = {shot.name: _joint_differences(table, shot.name) for shot in self.shots}
+        self._number = of_one_picture(self.shots)
+        self.differences = {shot.name: joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {s.name: of_shot(table.choices, s.name, self._simulated[s.name].name) for s in self.shots}
         self._chosen = {name: content_hash(choices) for name, choices in self._choices.items()}
         self._frames = DifferenceFrames.of(table)
-        self._through = {s.name: _for_differences(self._simulated[s.name], self._choices[s.name]) for s in self.shots}
+        self._through = {s.name: for_differences(self._simulated[s.name], self._choices[s.name]) for s in self.shots}
         self._regions: dict[str, tuple[Roi, ...]] = {}
         self._memo = NumberStore.shared(repr(sorted({self._simulated[shot.name].name for shot in self.shots})))
         self._runner = Runner(jobs, progress)
@@ -328,7 +327,7 @@ class Predictor:
         """Measured values of each task; equal content is simulated once."""
         keys = [self._key(task) for task in tasks]
         missing = {key: task for key, task in zip(keys, tasks, strict=True) if self._memo.get(key) is None}
-        groups = list(_by_shot(missing))
+        groups = list(by_shot(missing))
         calls = [self._call(vectors_of, [missing[key] for key in group]) for group in groups]
         for i, vectors in self._runner.results(calls):
             for key, vector in zip(groups[i], vectors, strict=True):
@@ -348,46 +347,3 @@ class Predictor:
         for i, vector in self._runner.results([self._call(function, groups[i], *more[i]) for i in missing]):
             self._memo.put(keys[missing[i]], vector)
         return [self._memo.items[key] for key in keys]
-
-
-def _of_one_picture(shots: Sequence[Shot]) -> dict[str, int]:
-    """A number for each shot, equal for a chart in several lights: its blurred patches are all that such shots cost."""
-    found: dict[str, int] = {}
-    pictures: dict[str, int] = {}
-    for i, shot in enumerate(shots):
-        chart = isinstance(shot.target, ChartTarget)
-        found[shot.name] = pictures.setdefault(content_hash((shot.target, shot.window)), i) if chart else i
-    return found
-
-
-def _by_shot(tasks: Mapping[str, ShotPart]) -> Iterator[list[str]]:
-    """Keys of tasks that can be measured together: of one shot with equal choices, at most `TOGETHER`."""
-    groups: dict[tuple[str, str], list[str]] = {}
-    for key, task in tasks.items():
-        groups.setdefault((task.of, task.chosen), []).append(key)
-    for group in groups.values():
-        step = max(1, min(TOGETHER, LIT_PIXELS // tasks[group[0]].pixels))
-        for i in range(0, len(group), step):
-            yield group[i : i + step]
-
-
-def _for_differences(shot: Shot, choices: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
-    """Choices and their hash for differences: patches that clip at a point keep their rows, which else would jump.
-
-    They are values alone (`isetval.measure.analyses.patches`).
-    """
-    if shot.role not in ("chart", "scene") or shot.given is not None:
-        return choices, content_hash(choices)
-    key = f"{shot.name}/patches"
-    through = {**choices, key: {**choices.get(key, {}), "for_differences": True}}
-    return through, content_hash(through)
-
-
-def _joint_differences(table: MetricTable, shot: str) -> Differences:
-    """What the blocks of one shot together ask of a difference."""
-    asked = [block.differences for block in table.blocks if block.metrics and block.metrics[0].shot == shot]
-    return Differences(
-        one_frame=all(d.one_frame for d in asked),
-        noise_free=all(d.noise_free for d in asked),
-        draws=max((d.draws for d in asked), default=1),
-    )
