@@ -53,7 +53,8 @@ def run_trial(name, folder, *, seed_shift=0, short=False, say=None):
     write_campaign(folder, NOMINAL, seed=trial.seed + seed_shift, hidden=trial.hidden, kind="small" if short else "full")
     model = isetval.load_model(NOMINAL / "camera.toml")
     campaign = isetval.load_campaign(folder)
-    found = isetval.diagnose(model, campaign, with_next_captures=False, say=say)
+    # five minutes for naming, as two workers have time for; an outsider uses all of it
+    found = isetval.diagnose(model, campaign, with_next_captures=False, say=say, limit_s=600.0)
     held = _held_out(trial, model, campaign, found) if found.effects else {}
     return judge(trial, found, held, seconds=time.perf_counter() - start)
 
