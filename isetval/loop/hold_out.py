@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +17,7 @@ from isetval.loop.posterior import NOTHING, Names
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem
 from isetval.loop.slopes import at
+from isetval.loop.stand_ins import numbered, renamed
 from isetval.loop.subset_sum import Weighed, weigh
 
 Float = NDArray[np.float64]
@@ -80,13 +80,8 @@ def _same_rows(here: Predictor, there: Predictor) -> NDArray[np.intp]:
 
 def _by_kind(predictor: Predictor) -> list[tuple[Hashable, ...]]:
     """What each row is, with what is seen in its shot in place of that one's name; the same shot again counts as the second."""
-    counts: Counter[Hashable] = Counter()
-    kinds: dict[str, Hashable] = {}
-    for shot in predictor.shots:
-        seen = (shot.seen, shot.light, shot.frames, shot.method, shot.channel)
-        kinds[shot.name] = (seen, counts[seen])
-        counts[seen] += 1
-    return [(replace(m, shot="").key(), kinds[m.shot]) for m in predictor.table.metrics]
+    kinds = numbered(predictor.shots)
+    return [(renamed(m.key(), ""), kinds[m.shot]) for m in predictor.table.metrics]
 
 
 def said(case: Investigation, asked: Sequence[Hypothesis]) -> list[float]:

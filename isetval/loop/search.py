@@ -17,7 +17,7 @@ from isetval.loop.telling import Deadline, Say, TimeUp
 from isetval.loop.verdict import ALPHA, against_priors, something_unknown
 
 BESIDE = 2  # rivals of what stands that are asked for their forms before a name is added: a fit each
-SEARCH = 1 / 2  # of the time that is given: a base at what stands, the hold-out and the ladder took 190 s of 900 at most after it
+SEARCH = 1 / 2  # of the time that is given: a base at what stands, hold-out and ladder take as long as two turns do
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
 

@@ -12,7 +12,7 @@ equal rows correlate by 1/(R + 1) then, .06 of 16 replicas.  What stands 4.5 sig
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -25,21 +25,32 @@ NAME = KEY_FIELDS.index("shot")
 DIGITS = 16  # hexadecimal, of a hash: no two shots of a plan have the same 64 bits
 
 
+Kind = tuple[str, int, str | None, str, str]
+
+
+def numbered(shots: Iterable[Shot]) -> dict[str, tuple[Kind, int]]:
+    """By name what a shot sees, in a light of what name and how it is measured, and the how many-th of these its session has."""
+    counts: Counter[tuple[str, Kind]] = Counter()
+    out: dict[str, tuple[Kind, int]] = {}
+    for shot in shots:
+        kind = (shot.seen, shot.frames, shot.light, shot.method, shot.channel)
+        out[shot.name] = (kind, counts[shot.measurement_session, kind])
+        counts[shot.measurement_session, kind] += 1
+    return out
+
+
 def stand_ins(plan: Campaign) -> dict[str, Shot]:
     """The shots of a plan under the names that they are simulated by; those with rows of metrics files keep their own."""
-    numbered: Counter[tuple[str, str]] = Counter()
-    out: dict[str, Shot] = {}
-    for shot in plan.shots:
-        if shot.given is not None:
-            out[shot.name] = shot
-            continue
-        light = plan.lights.get(shot.light or "")
-        lit = (shot.light, light and light.digest)
-        seen = content_hash((shot.seen, shot.frames, lit, shot.method, shot.channel))[:DIGITS]
-        number = numbered[shot.measurement_session, seen]
-        numbered[shot.measurement_session, seen] += 1
-        out[shot.name] = replace(shot, name=f"{shot.role} {seen} {number}", repeat_of=None)
-    return out
+    measured = [shot for shot in plan.shots if shot.given is None]
+    kinds = numbered(measured)
+
+    def name(shot: Shot) -> str:
+        (seen, frames, light, *how), number = kinds[shot.name]
+        lamp = plan.lights.get(light or "")
+        return f"{shot.role} {content_hash((seen, frames, (light, lamp and lamp.digest), *how))[:DIGITS]} {number}"
+
+    simulated = {shot.name: replace(shot, name=name(shot), repeat_of=None) for shot in measured}
+    return {shot.name: simulated.get(shot.name, shot) for shot in plan.shots}
 
 
 def renamed(key: Key, name: str) -> Key:

@@ -106,3 +106,14 @@ def test_a_killed_run_loses_only_what_came_after_the_last_save(tmp_path):
     known = number_store.read_numbers(left)
     assert len(known) == 20
     assert all(np.array_equal(found, vector(int(key))) for key, found in known.items())
+
+
+def test_what_one_user_makes_the_others_of_this_process_know():
+    first = NumberStore.shared("plan")
+    first.put("a", vector(1))
+    second = NumberStore.shared("plan")
+    assert np.array_equal(second.get("a"), vector(1))
+    assert NumberStore.shared("other").get("a") is None
+    first.save()
+    del first, second
+    assert np.array_equal(NumberStore.shared("plan").get("a"), vector(1))  # from the file

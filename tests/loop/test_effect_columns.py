@@ -111,18 +111,20 @@ def test_a_difference_from_one_side_is_no_central_one(model, problem, taken):
     assert taken == list(bent.keys)
 
 
-def test_noise_is_remembered_with_its_draws_and_grows_with_its_strength(model, problem, taken):
-    noise = candidate(model, "row_fpn")
+@pytest.mark.parametrize(("name", "value"), [("row_fpn", 0.5), ("temporal_row_noise", 0.5), ("dsnu", 5.0), ("flicker", 0.02)])
+def test_noise_is_remembered_with_its_draws_and_grows_with_its_strength(model, problem, taken, name, value):
+    noise = candidate(model, name)
     drawn = problem.with_draws(NOISE_SEEDS)
-    first = columns(drawn, (noise, 0.5), both_sides=True, step=0.25)
+    step = value / 2
+    first = columns(drawn, (noise, value), both_sides=True, step=step)
     taken.clear()
-    again = columns(drawn, (noise, 0.51), both_sides=True, step=0.25)
+    again = columns(drawn, (noise, 1.02 * value), both_sides=True, step=step)
     assert not taken
     np.testing.assert_allclose(again[:, -1], 1.02 * first[:, -1], rtol=1e-12)
-    fresh = columns(drawn, (noise, 0.51), both_sides=True, step=0.25, stale=0.0)
+    fresh = columns(drawn, (noise, 1.02 * value), both_sides=True, step=step, stale=0.0)
     assert np.linalg.norm(again[:, -1] - fresh[:, -1]) < 0.01 * np.linalg.norm(fresh[:, -1])
     taken.clear()
-    columns(problem, (noise, 0.5), both_sides=True, step=0.25)  # over one draw
+    columns(problem, (noise, value), both_sides=True, step=step)  # over one draw
     assert taken == list(noise.keys)
 
 

@@ -61,7 +61,6 @@ def test_a_second_session_of_the_same_shots_is_simulated_with_the_first(model, p
 
 
 def test_both_sessions_of_one_campaign_are_simulated_once(model, plan):
-    told = []
     with prepare(model, simulate(model, plan, 1)) as prepared:
         predictor = prepared.problem.predictor
         for a, b in zip(shots_of("A"), shots_of("B"), strict=True):
@@ -115,7 +114,7 @@ def test_smaller_regions_are_measured_in_what_stands_for_a_shot(model, plan):
     assert np.all(np.isfinite(moved.change[flats]))
 
 
-def test_captures_are_read_once(model, plan, monkeypatch):
+def test_captures_are_read_once(model, plan):
     campaign = simulate(model, plan, 1).session("A")
     read = []
 

@@ -33,7 +33,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
     not: it goes into columns that all shots share which look at them through the same window (two frames or more; one
     frame cannot tell the two apart, its sigma holds both).  Patches that are clipped are left out unless ``choices`` ask
     ``for_differences``: a simulation that follows a fit must not lose a row on the way.  These are values alone, without error
-    bars, which took an eighth of the time of a plan's signatures.
+    bars.
 
     Raises
     ------
