@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from isetval.core.campaign import Shot
 from isetval.core.metric import MetricTable
 from isetval.loop.fit import Fit
+from isetval.loop.gaussian import towards_one
 from isetval.loop.prepared import Prepared
 from isetval.loop.problem import Problem
 from isetval.loop.slopes import slopes
@@ -24,14 +25,15 @@ MIN_GATE = 0.05  # what sigma may be off by, however many repeats there are: 2.5
 def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit | None = None) -> dict[str, Any]:
     """Whether repeated set-ups agree within the error bars of ``problem`` at ``fitted`` (default: those of the prepared model).
 
-    z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the
-    set-up scope priors of both; the mean square must be 1 within max(0.05, 3 sd), or below what the replicas show of it: the
-    ten contrasts of an edge hold five numbers, and are weighted as if they held a little more.
+    z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the set-up scope priors of
+    both; their mean square, over what it is where captures scatter as the replicas do (ten contrasts of an edge hold five
+    numbers), must be 1 within max(0.05, 3 sd).  Known from so many replicas it is F, not chi2.
 
     Returns
     -------
     dict
-        ``run`` (False without repeats), ``failed``, ``mean_square_z``, ``n``, ``allowed``.
+        ``run`` (False without repeats), ``failed``, ``mean_square_z``, ``n`` (how many numbers the repeated rows hold),
+        ``allowed`` (by how much more than 1 it may be).
     """
     problem = problem or prepared.problem
     rows, difference, spread = repeat_differences(prepared, problem, fitted)
@@ -40,16 +42,16 @@ def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit 
     values, vectors = np.linalg.eigh(spread)
     use = values > 1e-9 * values.max()
     z = (vectors.T @ difference)[use] / np.sqrt(values[use])
-    square, n = float(np.mean(z**2)), int(use.sum())
-    from scipy.stats import chi2, norm
+    from scipy.stats import f, norm
 
-    # 3 standard deviations as a probability: chi2 is skew where the repeats are few
-    expected = _expected_square(problem, rows, vectors[:, use], values[use])
-    free = max(n * expected, 1.0)
-    low, high = expected * float(chi2.ppf(norm.sf(3), free)) / free, float(chi2.ppf(norm.cdf(3), n)) / n
+    numbers = _numbers_held(problem, rows, vectors[:, use], values[use])
+    square = float(np.sum(z**2)) / numbers
+    # 3 standard deviations as a probability: F is skew where the repeats are few
+    known = (len(rows) * (problem.base.replicas - 1)) or np.inf
+    low, high = (float(f.ppf(p, max(numbers, 1.0), known)) for p in (norm.sf(3), norm.cdf(3)))
     failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
     allowed = max(high, 1 + MIN_GATE) - 1
-    return {"run": True, "failed": failed, "mean_square_z": square, "n": n, "allowed": allowed}
+    return {"run": True, "failed": failed, "mean_square_z": square, "n": round(numbers), "allowed": allowed}
 
 
 def gate_with(prepared: Prepared, nominal: Mapping[str, Any], problem: Problem, fitted: Fit) -> dict[str, Any]:
@@ -64,15 +66,21 @@ def gate_with(prepared: Prepared, nominal: Mapping[str, Any], problem: Problem, 
     return repeat_gate(prepared, problem, fitted) | {"nominal_mean_square_z": first}
 
 
-def _expected_square(problem: Problem, rows: Sequence[tuple[int, int]], axes: Float, stated: Float) -> float:
-    """Mean square of z (``axes`` (pairs, n) of variances ``stated``) where captures scatter as the replicas do; 1 at most."""
+def _numbers_held(problem: Problem, rows: Sequence[tuple[int, int]], axes: Float, stated: Float) -> float:
+    """What squares of z (``axes`` (pairs, n) of variances ``stated``) sum to where captures scatter as the replicas do.
+
+    At most how many they are; drawn towards that as the ladder's are (`gaussian.towards_one`).  Of what has no scatter in
+    replicas (rows given with error bars) they say nothing.
+    """
     first, second = np.transpose(rows)
     apart = problem.base.values[:, first] - problem.base.values[:, second]
-    both = np.concatenate([first, second])
-    pick = np.concatenate([axes, -axes])
+    shows = np.ptp(apart, axis=0) > 0
+    both = np.concatenate([first[shows], second[shows]])
+    pick = np.concatenate([axes[shows], -axes[shows]])
     sampled = np.sum(pick * (problem.base.covariance[np.ix_(both, both)] @ pick), axis=0)
-    shown = np.var(apart @ axes, axis=0, ddof=1)
-    return min(1.0, float(np.mean((stated - sampled + shown) / stated)))
+    shown = np.var(apart[:, shows] @ axes[shows], axis=0, ddof=1)
+    total = float(np.sum((stated - sampled + shown) / stated))
+    return stated.size * min(towards_one(total, stated.size, problem.base.replicas), 1.0)
 
 
 def repeat_differences(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -36,6 +37,7 @@ whole story while that is likelier than not; of anything at all, where nothing i
 TOLD = 0.8  # share of the evidence of something unknown that its kinds are told up to
 MAX_TOLD = 5
 ALPHA = 0.01  # false alarms in a true model, all candidates or all unknowns of the laboratory together
+OF_CAMERA = "campaign"  # the scope of a tolerance that all captures share
 SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
 
@@ -237,7 +239,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
     """The nominal model with the named effects at their fitted values, and their description."""
     model, effects = case.prepared.model, []
     for candidate in case.standing.effects:
-        values = {key: case.standing.value(key) for key in candidate.keys}
+        values = {key: _of_camera(case, key) for key in candidate.keys}
         named = zip(candidate.parameters, candidate.keys, strict=True)
         effect = candidate.effect.changed(**{p.name: values[key][0] for p, key in named})
         effect = effect.changed(source="isetval diagnose", fitted_to=_captures(case))
@@ -268,6 +270,18 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
     if effects:
         model = replace(model, name="+".join([model.name, *(e.name for e in effects)]))
     return model, sorted(effects, key=lambda e: -e.dchi2)  # what explains most is read first
+
+
+def _of_camera(case: Investigation, key: str) -> tuple[float, float]:
+    """A fitted parameter as a number of the camera, and its standard deviation.
+
+    What was found is the camera's number and what the session of the captures adds to it, which the tolerance of a session (a
+    sensor that is warmer on one day) is the prior of: known to the data's sigma is their sum alone.  A tolerance that the whole
+    campaign shares is the camera's own, and part of the number.
+    """
+    value, sigma = case.standing.value(key)
+    shared = [f.prior or 0.0 for f in case.problem.plan.unknowns() if f.owner and f.key == key and f.scope != OF_CAMERA]
+    return value, math.hypot(sigma, *shared)
 
 
 def _fall_of_chi2(case: Investigation, name: str) -> float:

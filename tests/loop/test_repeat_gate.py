@@ -19,7 +19,7 @@ from isetval.loop.problem import Problem
 from isetval.loop.repeats import gate_with, repeat_differences, repeat_gate
 
 CHANNELS, BENDS = ("red", "green", "blue"), np.array([1.0, 0.0, -1.0])
-LEVEL, SIGMA, REPLICAS = 1000.0, 0.3, 16
+LEVEL, SIGMA, REPLICAS = 1000.0, 0.3, 256
 SHOTS = (Shot("a", "flat", setup="a"), Shot("b", "flat", setup="b", repeat_of="a"))
 PRIORS = (Nuisance("light_level", 0.02, "relative"), Nuisance("light_tilt_x", 0.02, "relative", "measurement session"))
 
@@ -85,6 +85,36 @@ def test_set_ups_of_one_light_agree_whatever_its_spectrum(tilt, apart):
     # the light's own direction counts one in three: apart by 2.5 sigmas of two set-ups
     expected = (2 + (apart / (0.02 * np.sqrt(2))) ** 2) / 3 if apart else 2 / 3
     assert np.mean(squares) == pytest.approx(expected, abs=0.25)
+
+
+@pytest.mark.parametrize(("scatter", "failed"), [(1.0, False), (3.0, True), (0.2, True)])
+def test_rows_that_hold_fewer_numbers_than_they_are_have_a_mean_square_of_one(scatter, failed):
+    """Of 90 rows that hold 30 numbers a tenth of the variance is stated as if it were each row's own."""
+    rng = np.random.default_rng(3)
+    columns = rng.standard_normal((90, 30))
+    n = len(columns)
+
+    def differences(k):
+        return rng.standard_normal((k, 30)) @ columns.T
+
+    true = columns @ columns.T
+    stated = 0.9 * true + 0.1 * np.diag(np.diag(true))
+    values = np.hstack([differences(64), np.zeros((64, n))])
+    nothing = np.zeros((n, n))
+    covariance = np.block([[stated, nothing], [nothing, nothing]])
+    metrics = [Metric("mean", 0.0, 1.0, "DN", shot=s, channel=str(i), family="flat_mean") for s in "ab" for i in range(n)]
+    base = Base(np.zeros(2 * n), covariance, values, np.ones(2 * n), further=1e9)  # means of replicas are exact
+    squares = []
+    for measured in np.sqrt(scatter) * differences(40):
+        table = SimpleNamespace(metrics=metrics, values=np.concatenate([measured, np.zeros(n)]))
+        problem = SimpleNamespace(keep=np.arange(2 * n), covariance=covariance, base=base)
+        prepared = SimpleNamespace(
+            problem=problem, table=table, campaign=SimpleNamespace(shots=SHOTS), model=None,
+            fit_nuisances=lambda model: SimpleNamespace(free=()),
+        )  # fmt: skip
+        squares.append(repeat_gate(prepared))
+    assert np.mean([s["mean_square_z"] for s in squares]) == pytest.approx(scatter, rel=0.1)
+    assert np.mean([s["failed"] for s in squares]) == pytest.approx(float(failed), abs=0.3)
 
 
 def test_a_channel_that_is_not_repeated_fails():

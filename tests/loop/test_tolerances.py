@@ -1,5 +1,6 @@
 """Parameters of the camera that also carry a tolerance of the laboratory: tested, named and sized like any other."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,6 +21,7 @@ from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame, score
 from isetval.loop.signatures import Signature
 from isetval.loop.unknown import pulled
+from isetval.loop.verdict import _of_camera
 
 KEY = "dark_current.rate_e_per_s"
 LABEL = f"{KEY}@campaign:"
@@ -86,6 +88,24 @@ def test_the_named_effect_takes_the_whole_offset(case):
     scales = 0.05 * abs(ln_ze - ln_z0)
     assert len(candidate.keys) == 1
     assert made.log_evidence - nothing.log_evidence == pytest.approx(ln_ze - ln_z0, abs=scales)
+
+
+@pytest.mark.parametrize(("scope", "own"), [("campaign", 0.0), ("measurement session", TOLERANCE)])
+def test_what_a_session_adds_is_no_number_of_the_camera(case, scope, own):
+    """Of dark current in one session nobody knows how much was that day's temperature: the stated sigma holds it."""
+    campaign, _, candidate, _ = case
+    plan = Campaign("p", (Shot("d", "dark"),), nuisances=(Nuisance(KEY, TOLERANCE, "e-/s", scope),))
+    camera = DarkCamera(plan, campaign.nominal)
+    problem = replace(campaign, predictor=camera, columns={}, effects={})
+    free = nuisance_parameters(plan, problem.nominal)
+    nothing = hypothesis(problem, (), fit(problem, Point(problem.nominal), free, iterations=0))
+    start = dict(zip(candidate.keys, map(float, candidate.nominal), strict=True))
+    made = refit(problem, problem.nominal, nothing, (candidate,), start, dict.fromkeys(candidate.keys, 0.01))
+    value, sigma = _of_camera(SimpleNamespace(standing=made, problem=problem), KEY)
+    # closed form: the sum is known to 1/|slope| (rows that agree to the last digit say a tenth less), the part to its tolerance
+    expected = np.hypot(1 / np.linalg.norm(SLOPE), own)
+    assert sigma == pytest.approx(expected, rel=0.12)
+    assert value - problem.nominal.value(KEY) == pytest.approx(HIDDEN, abs=3 * expected)
 
 
 def test_a_pull_beyond_what_all_allow_is_told(case):
