@@ -36,7 +36,10 @@ whole story while that is likelier than not; of anything at all, where nothing i
 (of the true cameras whose trials are stored none is sure by .9: `data/stored/hidden_effects*.jsonl`)."""
 TOLD = 0.8  # share of the evidence of something unknown that its kinds are told up to
 MAX_TOLD = 5
-ALPHA = 0.01  # false alarms in a true model, all candidates or all unknowns of the laboratory together
+ALPHA = 0.01  # false alarms in a true model, all candidates together
+FINDINGS = (
+    3  # that would be false in a true model, of which each has its share: a name, what is left over, an unknown too far off
+)
 OF_CAMERA = "campaign"  # the scope of a tolerance that all captures share
 SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
@@ -296,7 +299,8 @@ def against_priors(case: Investigation) -> list[str]:
     if case.held is not None:
         _, fitted = case.held.settled(named_model(case.prepared.model, case.standing))
         fits.append(("the hold-out", fitted))
-    return pulled(fits, alpha=ALPHA, doubted=[m.parameter.label for m in case.standing.members if isinstance(m, Doubt)])
+    doubted = [m.parameter.label for m in case.standing.members if isinstance(m, Doubt)]
+    return pulled(fits, alpha=ALPHA / FINDINGS, doubted=doubted)
 
 
 def _captures(case: Investigation) -> tuple[str, ...]:
