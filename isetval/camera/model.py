@@ -120,6 +120,21 @@ class CameraModel:
             raise InputError(f"model {self.name} has no parameter {key!r}")
         return effect.values()[parameter]
 
+    def bounds(self, key: str) -> tuple[float, float]:
+        """Bounds of a parameter by its ``effect.parameter`` name, in its unit.
+
+        Raises
+        ------
+        InputError
+            If the model has no such parameter.
+        """
+        name, parameter = key.split(".", 1)
+        effect = self.effect(name)
+        found = [] if effect is None else [(p.low, p.high) for p in effect.parameters() if p.name == parameter]
+        if not found:
+            raise InputError(f"model {self.name} has no parameter {key!r}")
+        return found[0]
+
     def sampled_as(self, sensor: Sensor | None) -> CameraModel:
         """The model with the pixels of a shrunk or binned picture of its sensor; itself for any other sensor.
 

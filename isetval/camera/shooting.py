@@ -16,7 +16,6 @@ from isetval.core.capture import Capture
 from isetval.core.captures import MemoryCaptures
 from isetval.core.context import stream, word
 from isetval.core.errors import InputError
-from isetval.core.parameter import Parameter
 from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]
@@ -143,14 +142,8 @@ def camera_with(model: CameraModel, plan: Campaign, values: Mapping[str, float])
     A tolerance ends where the parameter does: no dark current is negative, however little of it a model states.
     """
     moved = [p for p in plan.unknowns() if p.owner and p.label in values] if values else []
-    changes = {p.key: _within_bounds(model, p, model.value(p.key) + values[p.label]) for p in moved}
+    changes = {p.key: float(np.clip(model.value(p.key) + values[p.label], *model.bounds(p.key))) for p in moved}
     return model.with_values(changes) if changes else model
-
-
-def _within_bounds(model: CameraModel, tolerance: Parameter, value: float) -> float:
-    effect = model.effect(tolerance.owner)
-    bounds = {p.name: (p.low, p.high) for p in effect.parameters()} if effect is not None else {}
-    return float(np.clip(value, *bounds.get(tolerance.name, (-np.inf, np.inf))))
 
 
 def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotSetup:

@@ -41,10 +41,8 @@ def _within_bounds(tolerance: Parameter, model: CameraModel) -> Parameter:
     InputError
         If the model has no such parameter.
     """
-    value = model.value(tolerance.key)
-    effect = model.effect(tolerance.owner)
-    info = next(p for p in effect.parameters() if p.name == tolerance.name) if effect else None
-    return replace(tolerance, low=info.low - value, high=info.high - value) if info else tolerance
+    value, (low, high) = model.value(tolerance.key), model.bounds(tolerance.key)
+    return replace(tolerance, low=low - value, high=high - value)
 
 
 def jacobian(

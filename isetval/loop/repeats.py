@@ -27,7 +27,7 @@ def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit 
 
     z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the set-up scope priors of
     both; their mean square, over what it is where captures scatter as the replicas do (ten contrasts of an edge hold five
-    numbers), must be 1 within max(0.05, 3 sd).  Known from so many replicas it is F, not chi2.
+    numbers), must be 1 within max(0.05, 3 sd).  With what it is over known from some replicas alone it is distributed as F.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit 
     numbers = _numbers_held(problem, rows, vectors[:, use], values[use])
     square = float(np.sum(z**2)) / numbers
     # 3 standard deviations as a probability: F is skew where the repeats are few
-    known = (len(rows) * (problem.base.replicas - 1)) or np.inf
+    known = len(rows) * (problem.base.replicas - 1)
     low, high = (float(f.ppf(p, max(numbers, 1.0), known)) for p in (norm.sf(3), norm.cdf(3)))
     failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
     allowed = max(high, 1 + MIN_GATE) - 1

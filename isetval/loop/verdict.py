@@ -37,9 +37,8 @@ whole story while that is likelier than not; of anything at all, where nothing i
 TOLD = 0.8  # share of the evidence of something unknown that its kinds are told up to
 MAX_TOLD = 5
 ALPHA = 0.01  # false alarms in a true model, all candidates together
-FINDINGS = (
-    3  # that would be false in a true model, of which each has its share: a name, what is left over, an unknown too far off
-)
+FINDINGS = 3
+"""That would be false in a true model: a name, what is left over, an unknown far off, which has its share of them."""
 OF_CAMERA = "campaign"  # the scope of a tolerance that all captures share
 SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
@@ -242,7 +241,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
     """The nominal model with the named effects at their fitted values, and their description."""
     model, effects = case.prepared.model, []
     for candidate in case.standing.effects:
-        values = {key: _of_camera(case, key) for key in candidate.keys}
+        values = {key: _of_camera(case, key, case.standing.value(key)) for key in candidate.keys}
         named = zip(candidate.parameters, candidate.keys, strict=True)
         effect = candidate.effect.changed(**{p.name: values[key][0] for p, key in named})
         effect = effect.changed(source="isetval diagnose", fitted_to=_captures(case))
@@ -252,7 +251,9 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
             for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
         }
         units = {p.name: p.unit for p in candidate.effect.parameters()}
-        parameters |= {name: NamedParameter(h.value, h.sigma, units[name], h.nominal) for name, h in candidate.held.items()}
+        for name, h in candidate.held.items():
+            found = _of_camera(case, f"{candidate.klass}.{name}", (h.value, h.sigma))
+            parameters[name] = NamedParameter(*found, units[name], h.nominal)
         others = like[candidate.name].names
         alike = {candidate.klass, *others}
         chance, low, high = beside.table.of_class(*(c.name for c in case.candidates if c.klass in alike))
@@ -275,16 +276,16 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
     return model, sorted(effects, key=lambda e: -e.dchi2)  # what explains most is read first
 
 
-def _of_camera(case: Investigation, key: str) -> tuple[float, float]:
-    """A fitted parameter as a number of the camera, and its standard deviation.
+def _of_camera(case: Investigation, key: str, found: tuple[float, float]) -> tuple[float, float]:
+    """A parameter that was ``found``, its value and standard deviation, as a number of the camera.
 
     What was found is the camera's number and what the session of the captures adds to it, which the tolerance of a session (a
     sensor that is warmer on one day) is the prior of: known to the data's sigma is their sum alone.  A tolerance that the whole
     campaign shares is the camera's own, and part of the number.
     """
-    value, sigma = case.standing.value(key)
-    shared = [f.prior or 0.0 for f in case.problem.plan.unknowns() if f.owner and f.key == key and f.scope != OF_CAMERA]
-    return value, math.hypot(sigma, *shared)
+    value, sigma = found
+    by_session = [f.prior or 0.0 for f in case.problem.plan.unknowns() if f.owner and f.key == key and f.scope != OF_CAMERA]
+    return value, math.hypot(sigma, *by_session)
 
 
 def _fall_of_chi2(case: Investigation, name: str) -> float:

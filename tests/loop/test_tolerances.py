@@ -104,7 +104,7 @@ def test_what_a_session_adds_is_no_number_of_the_camera(case, scope, own):
     nothing = hypothesis(problem, (), fit(problem, Point(problem.nominal), free, iterations=0))
     start = dict(zip(candidate.keys, map(float, candidate.nominal), strict=True))
     made = refit(problem, problem.nominal, nothing, (candidate,), start, dict.fromkeys(candidate.keys, 0.01))
-    value, sigma = _of_camera(SimpleNamespace(standing=made, problem=problem), KEY)
+    value, sigma = _of_camera(SimpleNamespace(problem=problem), KEY, made.value(KEY))
     # closed form: the sum is known to 1/|slope| (rows that agree to the last digit say a tenth less), the part to its tolerance
     expected = np.hypot(1 / np.linalg.norm(SLOPE), own)
     assert sigma == pytest.approx(expected, rel=0.12)
