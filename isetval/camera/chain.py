@@ -130,6 +130,7 @@ def make_context(
         shot=shot.name,
         role=shot.role,
         light=shot.light or "",
+        radiance=None if setup.light is None else setup.light.radiance,
         nuisance=setup.nuisance,
         focus_um=shot.focus_um,
         object_distance_m=shot.distance_m,
@@ -242,6 +243,7 @@ def _lit(scene: Scene) -> Scene:
         white=scene.white[bands],
         ambient=ambient,
         patch_factor={name: factor[bands] for name, factor in scene.patch_factor.items()},
+        patch_added={name: added[bands] for name, added in scene.patch_added.items()},
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.cache import Remembered
+from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure, Sensor, plane_position
 
 Float = NDArray[np.float64]
@@ -82,7 +83,8 @@ class Context:
 
     ``window`` is (row0, col0, rows, cols) on the sensor: the part being computed; ``shot_window`` is
     the whole of the shot (None: the same).  ``nuisance`` holds the shot's unknowns
-    (light level, focus ...) as drawn or fitted.  ``mean_irradiance`` is the mean of the whole field,
+    (light level, focus ...) as drawn or fitted.  ``radiance`` is that of the shot's light, as finely as its table has it, for
+    effects that change faster with the wavelength than the signal has bands.  ``mean_irradiance`` is the mean of the whole field,
     (bands,), for effects that scatter light over the field.  ``mode`` is *capture* (exact Poisson),
     *derivative* (common random numbers, see `poisson`) or *expected* (no frame noise).  Effects that ``mirrored`` names draw
     their unit normals with the other ``sign``: the mean over both is free of what is linear in them (antithetic variates;
@@ -96,6 +98,7 @@ class Context:
     shot: str = ""
     role: str = ""
     light: str = ""
+    radiance: Spectrum | None = None
     nuisance: Mapping[str, float] = field(default_factory=dict)
     focus_um: float = 0.0
     object_distance_m: float | None = None

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from isetval.core.cache import remembered_file_hash
 from isetval.core.context import Context
 from isetval.core.errors import InputError
-from isetval.core.scene import Scene
+from isetval.core.scene import Scene, Spectrum
 from isetval.core.signal import Signal
+
+Float = NDArray[np.float64]
 
 STAGES = ("scene", "optics", "pixel", "exposure", "electronics", "file")
 Random = Literal["none", "sensor", "frame"]
@@ -113,6 +119,29 @@ class FreeAxis:
         return self.how == "gain" and self.axis != "wavelength"
 
 
+@dataclass(frozen=True)
+class Scan:
+    """A shape in which the likelihood has many valleys, of an effect that is a gain by wavelength and place.
+
+    A diagnosis asks for it at ``values``, and about the best of them ``finer`` (`isetval.loop.scan`).
+    """
+
+    shape: str
+    values: tuple[float, ...]
+    finer: float
+
+    @property
+    def count(self) -> int:
+        """How many values a whole one apart there are."""
+        return round(max(self.values) - min(self.values)) + 1
+
+    def around(self, value: float) -> tuple[float, ...]:
+        """Values between the neighbours of one."""
+        reach = max(abs(b - a) for a, b in pairwise(self.values))
+        count = int(reach / self.finer)
+        return tuple(round(value + k * self.finer, 9) for k in range(-count, count + 1) if k)
+
+
 EffectType = TypeVar("EffectType", bound="Effect")
 
 
@@ -135,10 +164,11 @@ class Effect:
     ``for_unstated_chief_ray`` that it is the form for models in which none does (no candidate beside one that does);
     ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter
     that is the exposure time beyond which it acts: each gap between the exposures of a plan is a form; ``lies_at`` names the
-    two that are its place in the field and the one that is its width: each window of a plan's flats is a form. ``forms`` are the
-    shapes that it may have, by field, its own first: each is a candidate of a diagnosis, which weighs shape parameters with
-    a ``tau`` once the effect is named; ``of_full_well`` names charges that are stated for a full well of 6,000 e-, and are as
-    much larger in a camera as its own is; ``free`` is the axis along which its form may be any smooth one. With every
+    two that are its place in the field and the one that is its width: each window of a plan's flats is a form; ``scan`` is a
+    shape that is looked for over all its values. ``forms`` are the shapes that it may have, by field, its own first: each is
+    a candidate of a diagnosis, which weighs shape parameters with a ``tau`` once the effect is named; ``of_full_well`` names
+    charges that are stated for a full well of 6,000 e-, and are as much larger in a camera as its own is; ``free`` is the
+    axis along which its form may be any smooth one. With every
     parameter at its null it must be the identity, unless it gives another unit than it acts on.
     """
 
@@ -172,6 +202,7 @@ class Effect:
     per_light: ClassVar[bool] = False
     switches_at: ClassVar[str] = ""
     lies_at: ClassVar[tuple[str, ...]] = ()
+    scan: ClassVar[Scan | None] = None
 
     source: str = ""
     fitted_to: tuple[str, ...] = ()
@@ -262,6 +293,12 @@ class Effect:
         Fits take derivatives by it and by focus errors along one line: they are told apart by priors and other shots alone.
         """
         return 0.0
+
+    def spectral_gains(
+        self, names: Sequence[str], wavelength_nm: Float, x_mm: Float, y_mm: Float, radiance: Spectrum | None
+    ) -> Float:
+        """Derivatives (parameters, bands, places) of ln of the light by the named parameters where they are 0 (with a `scan`)."""
+        raise NotImplementedError(f"effect {self.name} states no gain by wavelength and place")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """The signal behind this effect."""

@@ -78,6 +78,14 @@ class Spectrum:
             return self.at(grid)
         return _photon_means(*self.content, grid.tobytes())
 
+    def photon_shares(self, wavelength_nm: ArrayLike) -> tuple[Float, Float]:
+        """Wavelengths (points,) and the shares (bands, points) that each band of a grid has of its photons there.
+
+        What depends on the wavelength more finely than the grid has bands is averaged with these; read-only, each row sums to 1.
+        A band without light has those of even light.
+        """
+        return _photon_shares(self.content, np.asarray(wavelength_nm, float).tobytes())
+
 
 @lru_cache(maxsize=1024)
 def _band_means(table_nm: bytes, values: bytes, grid_nm: bytes) -> Float:
@@ -119,6 +127,20 @@ def _weighted_means(light: tuple[bytes, bytes], spectrum: tuple[bytes, bytes], g
     means = np.where(total > 0, part / np.where(total > 0, total, 1.0), values.at(wavelength_nm))
     means.flags.writeable = False
     return np.asarray(means)
+
+
+@lru_cache(maxsize=1024)
+def _photon_shares(light: tuple[bytes, bytes], grid_nm: bytes) -> tuple[Float, Float]:
+    grid, spectrum = np.frombuffer(grid_nm), Spectrum(*map(np.frombuffer, light))
+    points = _points(grid, spectrum)
+    points = points[(points >= grid[0]) & (points <= grid[-1])]
+    hats = np.array([np.interp(points, grid, unit) for unit in np.eye(grid.size)]) * np.gradient(points)
+    weight = hats * np.maximum(spectrum.at(points), 0.0) * points
+    total = weight.sum(axis=1, keepdims=True)
+    shares = np.where(total > 0, weight, hats) / np.where(total > 0, total, hats.sum(axis=1, keepdims=True))
+    for array in (points, shares):
+        array.flags.writeable = False
+    return points, shares
 
 
 def read_spectra(path: Path | str) -> Mapping[str, Spectrum]:
@@ -305,6 +327,8 @@ class Scene:
         Shift of the picture of a chart or a rendered scene to higher columns and rows.
     patch_factor : mapping
         What the reflectance of a chart's patch is multiplied with, (bands,), by the patch's name (1 where it has none).
+    patch_added : mapping
+        Reflectance added to a chart's patch, (bands,), by the patch's name: of what it sends beside the light that it reflects.
     surround : float
         Reflectance added to all that lies around patches and edges.
     black : float
@@ -331,6 +355,7 @@ class Scene:
     target_bow: tuple[float, float, float] = (0.0, 0.0, 0.0)
     target_shift_px: tuple[float, float] = (0.0, 0.0)
     patch_factor: Mapping[str, Float] = field(default_factory=dict)
+    patch_added: Mapping[str, Float] = field(default_factory=dict)
     surround: float = 0.0
     black: float = 0.0
     ambient: Float | None = None

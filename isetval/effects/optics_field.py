@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, FreeAxis, parameter
+from isetval.core.effect import Effect, FreeAxis, Scan, parameter
+from isetval.core.scene import Spectrum
 from isetval.core.signal import Layer, Moved, Signal
 from isetval.effects.pupil import REFERENCE_NM, by_dispersion, field_point
 
 Float = NDArray[np.float64]
 GLASS = 1.5  # index of a cover glass, on which the angle inside hangs
+UNIT = 0.01  # an amplitude within its bounds
+ORDER_STEP = 0.005  # orders between which a fringe is a straight line to 2.3e-4 of its height: (2 pi step 550/400)^2/8 at 400 nm
 
 
 def _tangent2(x_mm: Float, y_mm: Float, focal_mm: float) -> Float:
@@ -145,7 +148,8 @@ class Decenter(Effect):
 class EtalonRipple(Effect):
     """Interference in the cover glass: radial fringes on flats, washed out by broad-band light.
 
-    Asked with orders whose periods, 28 and 14 nm, are narrower than color filters: broader ones are what filters and lights do.
+    Asked with orders whose periods, 28 and 14 nm, are narrower than color filters: broader ones are what filters and lights do;
+    where either explains something, with all between and beyond.
     """
 
     name = "etalon_ripple"
@@ -160,9 +164,12 @@ class EtalonRipple(Effect):
         "vignetting",
     )
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"order_550": (20.0, 40.0)}
+    # lines of a lamp 60 nm apart turn against each other once in 9 orders, all of a mercury lamp's once in 2.8
+    scan: ClassVar[Scan | None] = Scan("order_550", tuple(np.arange(10.0, 60.01, 0.25).tolist()), 0.05)
     equation = (
         "E x (1 + a cos(phi) + b sin(phi)), phi = 2 pi (550 nm/lambda) m cos(theta'), sin(theta') = sin(theta)/1.5, theta the "
-        "angle of the chief ray; m - n r^2 for m cos(theta') where n fringes to the corner are stated"
+        "angle of the chief ray, averaged over the photons of each band; m - n r^2 for m cos(theta') where n fringes to the "
+        "corner are stated"
     )
     reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 7.6 (plane-parallel plate, low reflectance)"
     must_not_change = ("dark", "edge")
@@ -186,15 +193,37 @@ class EtalonRipple(Effect):
         if not (self.amplitude or self.quadrature):
             return signal
         grid = np.array([REFERENCE_NM]) if signal.wavelength_nm is None else signal.wavelength_nm
-        phase = 2 * np.pi * (REFERENCE_NM / grid)[:, None, None] * self._order(context)
-        return signal.scaled(1 + self.amplitude * np.cos(phase) + self.quadrature * np.sin(phase))
+        return signal.scaled(1 + self._ripple(self._order(context), grid, context.radiance))
+
+    def spectral_gains(
+        self, names: Sequence[str], wavelength_nm: Float, x_mm: Float, y_mm: Float, radiance: Spectrum | None
+    ) -> Float:
+        """The ripple of a plate per unit of each of its amplitudes, (parameters, bands, places)."""
+        order, none = self._order_in_plate(x_mm, y_mm), {"amplitude": 0.0, "quadrature": 0.0}
+        return np.stack([self.changed(**none | {name: UNIT})._ripple(order, wavelength_nm, radiance) / UNIT for name in names])
 
     def _order(self, context: Context) -> Float:
-        """Interference order at 550 nm, (1, rows, cols)."""
+        """Interference order at 550 nm, (rows, cols)."""
         if self.fringes:
-            return np.asarray(self.order_550 - self.fringes * context.field_radius()[None] ** 2)
-        tangent2 = _tangent2(*context.xy_mm(), self.focal_mm)
-        return np.asarray(self.order_550 * np.sqrt(1 - tangent2 / (1 + tangent2) / GLASS**2)[None])
+            return np.asarray(self.order_550 - self.fringes * context.field_radius() ** 2)
+        return self._order_in_plate(*context.xy_mm())
+
+    def _order_in_plate(self, x_mm: Float, y_mm: Float) -> Float:
+        tangent2 = _tangent2(x_mm, y_mm, self.focal_mm)
+        return np.asarray(self.order_550 * np.sqrt(1 - tangent2 / (1 + tangent2) / GLASS**2))
+
+    def _ripple(self, order: Float, grid: Float, radiance: Spectrum | None) -> Float:
+        """The ripple (bands, ...) at orders (...), averaged over the photons of each band of a light's ``radiance``."""
+        if radiance is None or grid.size < 2:
+            return np.stack([self._wave(nm, order) for nm in grid])
+        points, shares = radiance.photon_shares(grid)
+        orders = np.arange(float(order.min()), float(order.max()) + 2 * ORDER_STEP, ORDER_STEP)
+        means = shares @ self._wave(points[:, None], orders)
+        return np.stack([np.interp(order, orders, band) for band in means])
+
+    def _wave(self, wavelength_nm: Float, order: Float) -> Float:
+        phase = 2 * np.pi * (REFERENCE_NM / wavelength_nm) * order
+        return np.asarray(self.amplitude * np.cos(phase) + self.quadrature * np.sin(phase))
 
 
 def _outwards(x: float, y: float, by: Callable[[Float], Any], wavelength_nm: Float) -> tuple[Any, Any]:

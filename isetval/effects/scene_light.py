@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, parameter
-from isetval.core.scene import ChartTarget, EdgeTarget, Patch, Scene, Spectrum
+from isetval.core.scene import ChartTarget, EdgeTarget, Scene
 from isetval.effects.pupil import REFERENCE_NM, field_point
 
 Float = NDArray[np.float64]
@@ -275,13 +275,9 @@ class Fluorescence(Effect):
         band = np.exp(-(((grid - self.peak_nm) / self.width_nm) ** 2) / 2)
         emitted = self.emission * scene.white[violet].mean() * band
         added = np.divide(emitted, scene.white, out=np.zeros_like(emitted), where=scene.white > 0)
-        patches = tuple(self._glowing(patch, grid, added) for patch in scene.target.patches)
-        return replace(scene, target=replace(scene.target, patches=patches))
-
-    def _glowing(self, patch: Patch, grid: Float, added: Float) -> Patch:
-        if self.patch not in ("", patch.name):
-            return patch
-        return replace(patch, reflectance=Spectrum(grid, patch.reflectance.at(grid) + added))
+        so_far, names = scene.patch_added, [patch.name for patch in scene.target.patches]
+        glowing = {name: so_far.get(name, 0.0) + added for name in names if self.patch in ("", name)}
+        return replace(scene, patch_added={**so_far, **glowing})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
@@ -13,20 +13,22 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
-from isetval.loop.evidence import hypothesis, smallest_detectable
+from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
 from isetval.loop.investigation import Investigation, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, split_sessions
+from isetval.loop.problem import Problem
 from isetval.loop.repeats import gate_with, repeat_gate
 from isetval.loop.result import CandidateRow, Diagnosis
-from isetval.loop.score_test import Score, make_frame, score
+from isetval.loop.scan import best_place
+from isetval.loop.score_test import Frame, Score, make_frame, score
 from isetval.loop.search import search
 from isetval.loop.shortlist import unfitted
-from isetval.loop.signatures import signatures
+from isetval.loop.signatures import Signature, signatures
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
-from isetval.loop.verdict import account_of, stopped_account
+from isetval.loop.verdict import ALPHA, account_of, stopped_account
 
 LIMIT_S = 900.0  # what is not over in a quarter of an hour is asked for by name; what it simulated is kept for that
 
@@ -130,10 +132,15 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     focus = [f for f in fitted.free if f.focus]
-    made = signatures(problem, Point(model, far_values(fitted)), wanted, project=frame.basis[: frame.rows], focus=focus)
+    nothing = hypothesis(problem, (), fitted)
+
+    def shown(some: Sequence[Candidate]) -> list[Signature]:
+        return signatures(problem, Point(model, far_values(fitted)), some, project=frame.basis[: frame.rows], focus=focus)
+
+    made = shown(wanted)
+    made += shown(_scanned(problem, nothing, frame, made))
     wanted = tuple(s.candidate for s in made)
     by_name = {s.candidate.name: s for s in made}
-    nothing = hypothesis(problem, (), fitted)
     case = Investigation(prepared, held, problem, nothing, wanted, doubts_for(fitted.free), by_name, frame)
     case.known[NOTHING] = nothing
     scores = {c.name: score(frame, case.white()[c.name], side=c.only_side) for c in wanted}
@@ -143,6 +150,17 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     weigh_neighbours(case)
     _tell_evidence(case)
     return case
+
+
+def _scanned(problem: Problem, nothing: Hypothesis, frame: Frame, made: Sequence[Signature]) -> list[Candidate]:
+    """Further forms of effects that are scanned (`isetval.loop.scan`), where one of those that are asked for shows anything."""
+    out = []
+    for klass in dict.fromkeys(s.candidate.klass for s in made if s.candidate.effect.scan and not s.candidate.present):
+        own = [s.columns for s in made if s.candidate.klass == klass]
+        if min(score(frame, white).p_value for white in problem.whitened_each(own)) * len(made) < ALPHA:
+            place = best_place(problem, nothing, made, klass)
+            out += [] if place is None else [place]
+    return out
 
 
 def _observable(candidate: Candidate, found: Score) -> bool:

@@ -243,6 +243,26 @@ def weigh_all(
     return logs, found
 
 
+def best_with(model: LinearModel, first: int) -> Float:
+    """Ln Z (first,) of each of the ``first`` terms, alone or with the best of the terms after them.
+
+    At the scales of the best of these, found in turns as those of one subset are (`weigh`).
+    """
+    after = range(first, len(model.terms))
+    pairs = np.array([(i, j) for i in range(first) for j in after])
+    best = weigh(model, ())
+    for _ in range(SCALE_TURNS):
+        alone = _screened(model, best, np.arange(first)[:, None])
+        both = _screened(model, best, pairs).reshape(first, -1) if pairs.size else alone[:, None]
+        found = np.maximum(alone, both.max(axis=1))
+        i = int(np.argmax(found))
+        subset = (i,) if alone[i] >= both[i].max() else (i, int(pairs.reshape(first, -1, 2)[i, int(np.argmax(both[i])), 1]))
+        if subset == best.subset:
+            break
+        best = weigh(model, subset, best.scales)
+    return np.asarray(found)
+
+
 def _grown(seeds: Sequence[Subset], groups: Sequence[str]) -> list[Subset]:
     """Every seed with one more effect of a class that it does not hold."""
     return sorted({tuple(sorted((*s, i))) for s in seeds for i, g in enumerate(groups) if g not in {groups[j] for j in s}})

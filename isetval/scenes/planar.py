@@ -171,8 +171,10 @@ def _chart(scene: Scene, target: ChartTarget, context: Context) -> SpectralPictu
     rows, cols = context.window[2:]
     top, left = (int(place.flat[0]) - HALO_PX for place in context.place_in_shot())
     table = [np.maximum(scene.reflectance(target.surround) + scene.surround, 0)]
-    factor = scene.patch_factor
-    table += [scene.reflectance(patch.reflectance) * factor.get(patch.name, 1.0) + scene.gloss for patch in target.patches]
+    factor, added = scene.patch_factor, scene.patch_added
+    for patch in target.patches:
+        reflected = scene.reflectance(patch.reflectance) * factor.get(patch.name, 1.0)
+        table.append(reflected + scene.gloss + added.get(patch.name, 0.0))
     boxes = [patch.box for patch in target.patches]
     label = np.zeros((rows + 2 * HALO_PX, cols + 2 * HALO_PX), np.intp)
     if target.background is not None and target.outline is not None:

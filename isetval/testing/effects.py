@@ -272,4 +272,4 @@ def _flat(thing: Any) -> Any:
         return tuple(thing.ravel().tolist())
     if isinstance(thing, tuple):
         return tuple(_flat(part) for part in thing)
-    return tuple(sorted(thing.items())) if isinstance(thing, dict) else thing
+    return tuple((name, _flat(thing[name])) for name in sorted(thing)) if isinstance(thing, dict) else thing

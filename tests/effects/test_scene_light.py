@@ -137,9 +137,8 @@ def test_gloss_lifts_all_patches_alike(place):
 def test_fluorescence_glows_in_its_own_patch_under_violet_light_only(place):
     effect = Fluorescence(patch="a", emission=0.3, peak_nm=450.0, width_nm=10.0)
     glow = radiance(effect, CHART, place()) - radiance(Fluorescence(), CHART, place())
-    # 450 nm: yield x radiance at 400 nm, the only violet band; the band mean of a peak that is linear between
-    # its own node and the neighbours' is 2/3 of it (integral of hat^2 over integral of hat)
-    np.testing.assert_allclose(glow[1, 25, 25], 0.3 * 2 / 3 * FLAT.white[0], rtol=1e-3)
+    # yield x radiance at 400 nm, the only violet band
+    np.testing.assert_allclose(glow[1, 25, 25], 0.3 * FLAT.white[0], rtol=1e-9)  # the equation, at the peak
     np.testing.assert_allclose(glow[:, 25, 85], 0.0, atol=1e-15)
     no_violet = replace(CHART, white=np.where(GRID < 430, 0.0, CHART.white))
     np.testing.assert_allclose(radiance(effect, no_violet, place()), radiance(Fluorescence(), no_violet, place()))

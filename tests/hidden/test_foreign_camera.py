@@ -14,6 +14,7 @@ from foreign_camera.truths import EFFECTS, FORMS, OUTSIDERS, TRIALS
 import isetval
 from isetval.camera.chain import ShotSetup, mean_electrons
 from isetval.effects import catalogue
+from isetval.effects.optics_field import EtalonRipple
 from isetval.effects.pupil import CircularPupil
 from isetval.testing.foreign_camera import campaign as foreign
 from isetval.testing.foreign_camera import effects, hidden_charge, hidden_lens, optics, outsiders, plan, scene, sensor, spectra
@@ -192,6 +193,27 @@ def test_both_cameras_agree_on_every_patch_of_a_chart(lens, light, tmp_path):
             one = slice(top + 4 + row, bottom - 4, 2), slice(left + 4 + col, right - 4, 2)
             # straight lines between points 1 nm apart, where a lamp's line meets a slope of the patch
             assert ours[one].mean() == pytest.approx(theirs[one].mean(), rel=2e-4), (name, row, col)
+
+
+@pytest.mark.parametrize("name", ["A_chart_mid_tube", "A_field09"])
+def test_both_cameras_agree_on_a_plate(name, tmp_path):
+    """Fringes 25 nm apart in the lines of a lamp: Airy's formula at every nm here, a ripple averaged over bands of 5 nm there."""
+    foreign.write_campaign(tmp_path, DATA, seed=11, sessions=("A",), kind="full", draw=False, blur_chart=False)
+    campaign, model = isetval.load_campaign(tmp_path), isetval.load_model(tmp_path / "camera.toml")
+    nominal, reflectance, glass_um = nominal_camera(tmp_path / "camera.toml"), 0.002, 4.0
+    coated = replace(nominal, hidden={"etalon_ripple": {"reflectance": reflectance, "glass_um": glass_um}})
+    shot = next(s for s in campaign.shots if s.name == name)
+    place = next(p.place for p in plan.session(nominal, "A", "full") if p.place.name == name)
+    with_plate, without = (scene.mean_electrons(c, place, foreign.lights_of(nominal)) for c in (coated, nominal))
+    effect = EtalonRipple(amplitude=2 * reflectance, order_550=2 * 1.5 * glass_um / 0.55, focal_mm=nominal.focal_mm)
+    setup = ShotSetup(shot, campaign.lights[shot.light])
+    theirs = mean_electrons(model.with_effect(effect), setup) / mean_electrons(model, setup) - 1
+    ours = with_plate / without - 1
+    inside = np.ones(ours.shape, bool) if place.role == "flat" else np.zeros(ours.shape, bool)
+    for top, bottom, left, right in place.target.boxes.values() if place.role != "flat" else ():
+        inside[top + 4 : bottom - 4, left + 4 : right - 4] = True
+    # efficiencies and reflectances bend over 5 nm; 8 and 11 % where the ripple is taken at the middles of bands
+    assert np.std((ours - theirs)[inside]) < 0.02 * np.std(ours[inside])
 
 
 def test_trials_name_effects_of_the_catalogue_and_strangers():

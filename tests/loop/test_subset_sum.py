@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, multivariate_t, norm
 
-from isetval.loop.subset_sum import LinearModel, Term, log_half, weigh, weigh_all
+from isetval.loop.subset_sum import LinearModel, Term, best_with, log_half, weigh, weigh_all
 
 SURE_SCALES = 1e8  # dof at which the scale of every family is known: the sum is Gaussian, but for chi2^2/dof of 1e-4
 
@@ -129,6 +129,25 @@ def test_forms_of_one_class_are_no_second_name():
     logs, _ = weigh_all(model(5 * column + 3 * column**2, [*forms, term("y", rng.standard_normal(20))]), classes=2)
     assert (0, 1) not in logs
     assert (0, 2) in logs
+
+
+def test_each_place_of_a_form_with_the_best_of_all_others():
+    """Beside a stronger effect: alone another place is the best. At the scales of the best pair, which brute force finds too."""
+    rng = np.random.default_rng(8)
+    rows = 300
+    places = [term("place", rng.standard_normal((rows, 2)), 3.0) for _ in range(7)]
+    other = places[5].white[:, 0] - 0.5 * places[2].white[:, 0] + 0.3 * rng.standard_normal(rows)
+    terms = [*places, *(term(str(i), c, 3.0) for i, c in enumerate([rng.standard_normal(rows), other]))]
+    one = model(
+        1.5 * other + 0.8 * places[2].white[:, 0] + rng.standard_normal(rows), terms, rng.standard_normal((rows, 4)), dof=30.0
+    )
+    every = {s: weigh(one, s) for s in [*((i,) for i in range(7)), *itertools.product(range(7), (7, 8))]}
+    assert max(((i,) for i in range(7)), key=lambda s: every[s].log_evidence) == (5,)
+    best = max(every, key=lambda s: every[s].log_evidence)
+    found = best_with(one, 7)
+    assert best == (2, 8)
+    assert int(np.argmax(found)) == 2
+    assert found[2] == pytest.approx(every[best].log_evidence, abs=0.01)
 
 
 def test_sixty_four_effects_in_pairs():

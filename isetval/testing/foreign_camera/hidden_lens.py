@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import optics, spectra
 from .effects import CONSTANTS, at
 from .optics import Rim
-from .types import Camera, Float, Light, Place
+from .types import Camera, Chart, Float, Light, Place
 
 CONSTANTS["defocus"] = {"z_um": "focus_um"}
 CONSTANTS["diffraction"] = {"f_number": "wave_f_number"}
@@ -79,17 +81,29 @@ def microlens(planes: Float, camera: Camera, place: Place, light: Light, *, loss
 
 @at("shading", "etalon_ripple")
 def etalon_ripple(planes: Float, camera: Camera, place: Place, light: Light, *, reflectance: float, glass_um: float) -> Float:
-    """Interference in a thin glass plate: Airy's transmission at each pixel's angle, averaged over the light of each channel."""
+    """Interference in a thin glass plate: Airy's transmission at each pixel's angle, averaged over what a channel sees."""
     x, y = optics.pixel_places(camera, place.window)
     sine2 = (x**2 + y**2) / (x**2 + y**2 + camera.focal_mm**2)
     path_um = 2 * 1.5 * glass_um * np.sqrt(1 - sine2 / 1.5**2)
-    shares = light.spectral / light.spectral.sum(axis=1, keepdims=True)
     finesse = 4 * reflectance / (1 - reflectance) ** 2
-    seen = np.zeros((3, *path_um.shape))
-    for i, nm in enumerate(spectra.WAVELENGTH_NM):
-        passed = 1 / (1 + finesse * np.sin(np.pi * path_um / (nm * 1e-3)) ** 2)
-        seen += shares[:, i, None, None] * passed[None]
+    seen = np.ones((3, *path_um.shape))
+    for pixels, spectral in _spectra_seen(place, light):
+        shares = spectral / spectral.sum(axis=1, keepdims=True)
+        for_each = np.zeros((3, np.count_nonzero(pixels)))
+        for i, nm in enumerate(spectra.WAVELENGTH_NM):
+            for_each += shares[:, i, None] / (1 + finesse * np.sin(np.pi * path_um[pixels] / (nm * 1e-3)) ** 2)
+        seen[:, pixels] = for_each
     return np.asarray(planes * seen / (1 - finesse / 2))
+
+
+def _spectra_seen(place: Place, light: Light) -> Iterator[tuple[NDArray[np.bool_], Float]]:
+    """Pixels (rows, cols) that see one thing, and what the channels have of it, (3, wavelengths): each patch of a chart."""
+    if not isinstance(place.target, Chart):
+        yield np.ones(place.window[2:], bool), light.spectral
+        return
+    label = optics.chart_labels(place)
+    for number, reflectance in enumerate(spectra.chart_table(place.target)):
+        yield label == number, light.spectral * reflectance
 
 
 @at("focus", "field_curvature")

@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .spectra import WAVELENGTH_NM
-from .types import Camera, Float, Window
+from .types import Camera, Float, Place, Window
 
 CHORDS, SAMPLES, PADDED = 48, 1024, 4096
 FINE_PX = 1 / 256
@@ -28,6 +29,14 @@ def pixel_places(camera: Camera, window: Window) -> tuple[Float, Float]:
     x = (np.arange(col0, col0 + cols) - (camera.cols - 1) / 2) * camera.pitch_um / 1e3
     y = (np.arange(row0, row0 + rows) - (camera.rows - 1) / 2) * camera.pitch_um / 1e3
     return np.asarray(x[None], float), np.asarray(y[:, None], float)
+
+
+def chart_labels(place: Place) -> NDArray[np.intp]:
+    """What each pixel of a chart sees, (rows, cols): 0 the surround, then the patches in the order of their boxes."""
+    label = np.zeros(place.window[2:], np.intp)
+    for number, (row0, row1, col0, col1) in enumerate(place.target.boxes.values(), 1):
+        label[row0:row1, col0:col1] = number
+    return label
 
 
 def radius(camera: Camera, window: Window) -> Float:

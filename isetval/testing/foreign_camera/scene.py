@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import optics, spectra
 from .effects import apply_stage
@@ -119,12 +120,7 @@ def edge_picture(camera: Camera, place: Place, light: Light) -> Float:
 def chart_picture(camera: Camera, place: Place, light: Light, blur: bool) -> Float:
     """Electrons of each channel over a chart, (3, rows, cols), blurred by the lens in focus."""
     rows, cols = place.window[2:]
-    label = np.zeros((rows, cols), int)
-    for number, (row0, row1, col0, col1) in enumerate(place.target.boxes.values(), 1):
-        label[row0:row1, col0:col1] = number
-    curves = place.target.curves or spectra.reflectances()
-    grid = spectra.WAVELENGTH_NM
-    table = np.array([np.full(grid.size, place.target.surround)] + [curves[name](grid) for name in place.target.boxes])
+    label, table = optics.chart_labels(place), spectra.chart_table(place.target)
     table = apply_stage("patches", table, camera, place, light)
     if blur:
         planes = _blurred_chart(camera, light.spectral, table, label)
@@ -139,7 +135,7 @@ def chart_picture(camera: Camera, place: Place, light: Light, blur: bool) -> Flo
 CHART_NODES_NM = np.array([400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0])
 
 
-def _blurred_chart(camera: Camera, spectral: Float, table: Float, label: Float) -> Float:
+def _blurred_chart(camera: Camera, spectral: Float, table: Float, label: NDArray[np.intp]) -> Float:
     """The chart through the lens: one transfer function per node, spectra shared out between the nodes."""
     # about 96 px of surround, to sizes that a Fourier transform likes
     shape = [64 * -(-(n + 192) // 64) for n in label.shape]

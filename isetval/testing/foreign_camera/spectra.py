@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .types import Curve, Float
+from .types import Chart, Curve, Float
 
 WAVELENGTH_NM = np.arange(380.0, 740.1, 1.0)
 STEP_NM = 1.0
@@ -79,6 +79,13 @@ def _step(low: float, high: float, center: float, width: float) -> Curve:
 
 def _hump(low: float, high: float, center: float, width: float) -> Curve:
     return lambda nm: low + (high - low) * bell(nm, center, width)
+
+
+def chart_table(chart: Chart) -> Float:
+    """Reflectances (surfaces, wavelengths) of a chart on the fine grid: its surround, then its patches as labels count them."""
+    curves = chart.curves or reflectances()
+    surround = np.full(WAVELENGTH_NM.size, chart.surround)
+    return np.array([surround, *(curves[name](WAVELENGTH_NM) for name in chart.boxes)])
 
 
 def read_table(path: Path) -> dict[str, Float]:
