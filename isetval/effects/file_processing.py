@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
+from isetval.core.errors import InputError
 from isetval.core.sensor import black_at, plane_names, plane_position
 from isetval.core.signal import Signal
 
 Array = NDArray[Any]
+GAIN_MAP_FORMS = ("quadratic", "inverse cos4")
 
 
 def _black(context: Context, values: Array) -> Array:
@@ -92,10 +96,26 @@ class GainMapApplied(Effect):
         "vignetting",
         "cos4",
     )
-    equation = "black + (DN - black) (1 + m r^2), r = 1 at the corner"
-    reference = "Adobe, Digital Negative Specification 1.7, opcode GainMap; second-order map"
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": GAIN_MAP_FORMS}
+    equation = (
+        "black + (DN - black) g, g = 1 + m r^2, r = 1 at the corner; of form 'inverse cos4' g = cos(theta)^(-4 s), tan theta = "
+        "distance from the middle / focal length, s such that g = 1 + m at the corner"
+    )
+    reference = (
+        "Adobe, Digital Negative Specification 1.7, opcode GainMap; second-order map, and that of a lens's natural fall-off"
+    )
 
     corner: float = parameter(0.0, unit="1", low=0.0, high=20.0, tau=0.5, doc="gain above 1 at the corner, m")
+    focal_mm: float = parameter(
+        4.38, unit="mm", low=0.1, high=2000.0, shape=True, doc="focal length (distance of the exit pupil), of 'inverse cos4'"
+    )
+    form: str = GAIN_MAP_FORMS[0]
+
+    def __post_init__(self) -> None:
+        """InputError for a form that is none."""
+        super().__post_init__()
+        if self.form not in GAIN_MAP_FORMS:
+            raise InputError(f"effect {self.name}: form is {self.form!r}; it needs one of {', '.join(GAIN_MAP_FORMS)}")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale the codes above black."""
@@ -103,8 +123,14 @@ class GainMapApplied(Effect):
             return signal
         values = signal.values
         black = _black(context, values)
-        gain = (1 + self.corner * context.field_radius() ** 2).astype(values.dtype)
-        return _in_codes(signal, black + (values - black) * gain, context)
+        return _in_codes(signal, black + (values - black) * self._gain(context).astype(values.dtype), context)
+
+    def _gain(self, context: Context) -> Array:
+        radius2 = context.field_radius() ** 2
+        if self.form == GAIN_MAP_FORMS[0]:
+            return np.asarray(1 + self.corner * radius2)
+        corner_tan2 = (context.sensor.half_diagonal_mm / self.focal_mm) ** 2
+        return np.asarray((1 + self.corner) ** (np.log1p(corner_tan2 * radius2) / math.log1p(corner_tan2)))
 
 
 @dataclass(frozen=True, kw_only=True)

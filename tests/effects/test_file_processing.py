@@ -30,6 +30,24 @@ def test_a_code_table_bends_between_black_and_white(place):
     np.testing.assert_array_equal(run(LinearizationTable(bend=0.2), [[[64.0, 1023.0]]], place(window=(0, 0, 1, 2))), [[64, 1023]])
 
 
+def test_a_gain_map_takes_a_share_of_the_natural_fall_off_back(place):
+    """Behind cos4 with its own gain map, a flat falls off as cos^(4 (1 - share))."""
+    share, sensor = 0.3, place().sensor
+    across = place(window=(sensor.rows // 2, 0, 1, sensor.cols), mode="expected")
+    falls = cos4_of(across)
+    corner = (1 + (sensor.half_diagonal_mm / 4.38) ** 2) ** (2 * share) - 1
+    effect = GainMapApplied(corner=corner, form="inverse cos4")
+    out = run(effect, 64 + 800 * falls[None], across)
+    np.testing.assert_allclose(out - 64, 800 * falls ** (1 - share), rtol=1e-6)
+    with pytest.raises(InputError, match="quadratic, inverse cos4"):
+        GainMapApplied(form="cubic")
+
+
+def cos4_of(context):
+    x, y = context.xy_mm()
+    return (1 + (x**2 + y**2) / 4.38**2) ** -2
+
+
 def test_a_gain_map_raises_signal_and_noise_of_the_corner(place):
     rng = np.random.default_rng(1)
     noisy = 200 + 3 * rng.standard_normal((1, 128, 128))
