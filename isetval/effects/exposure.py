@@ -116,6 +116,6 @@ class RollingFlicker(Effect):
             return signal
         row0, _, rows, _ = context.window
         turns = self.frequency_hz * self.row_time_us * 1e-6 * np.arange(row0, row0 + rows) + context.frame_rng().random()
-        factor = 1 + depth * np.cos(2 * np.pi * turns)
+        factor = 1 + context.sign * depth * np.cos(2 * np.pi * turns)  # the other sign: half a period later, as likely
         values = signal.values
         return signal.with_values(values * factor[None, :, None].astype(values.dtype))

@@ -64,9 +64,9 @@ class UnevenCodes(Effect):
         """
         rng, codes = context.fixed_rng(), int(context.sensor.white_dn) + 1
         blocks = -(-codes // REPEAT)
-        pattern = rng.standard_normal(REPEAT)
-        widths = 1 + self.repeated * (pattern - pattern.mean()) + self.sigma * rng.standard_normal((blocks, REPEAT))
-        widths = np.maximum(widths, 0.0)
+        pattern, single = rng.standard_normal(REPEAT), rng.standard_normal((blocks, REPEAT))
+        wider = self.repeated * (pattern - pattern.mean()) + self.sigma * single
+        widths = np.maximum(1 + context.sign * wider, 0.0)
         if context.mode == "derivative":
             widths *= REPEAT / widths.sum(axis=1, keepdims=True)
         edges = np.concatenate([[0.0], np.cumsum(widths.ravel()[:codes])])

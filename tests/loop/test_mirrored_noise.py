@@ -8,7 +8,8 @@ import pytest
 from isetval import simulate
 from isetval.camera.chain import ShotSetup
 from isetval.camera.exposing import expose
-from isetval.core.campaign import Campaign, Shot
+from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.effects import catalogue
 from isetval.loop.prediction import Point, Predictor
@@ -58,3 +59,28 @@ def test_a_frame_with_the_other_sign_is_as_far_on_the_other_side(model):
     )
     assert np.abs(up - plain).mean() > 5
     assert np.abs((up - plain) - (plain - down)).max() <= 2  # each is rounded to codes
+
+
+LIT = Shot("flat", "flat", light="white", exposure=Exposure(0.004), frames=1, window=(1464, 1968, 64, 64))
+LONG = replace(DARK, exposure=Exposure(10.0), frames=1)
+WHITE = Light("white", Spectrum(np.array([390.0, 710.0]), np.array([0.003, 0.003])))
+CHOOSES = "black_clip"  # pixels by the sign of its numbers, and lifts their mean
+NOISY = sorted(name for name, cls in catalogue().items() if cls.candidate and cls().draws_normals and name != CHOOSES)
+
+
+@pytest.mark.parametrize("name", NOISY)
+def test_what_is_linear_in_any_noise_leaves_the_mean_of_both_signs(model, name):
+    """Of draws that do not know the other sign the mean of both moves pixels as far as either."""
+    effect = catalogue()[name]()
+    model = replace(model, effects=tuple(e for e in model.effects if e.name != name))
+    setup = ShotSetup(LONG) if name == "dark_current_nonuniformity" else ShotSetup(LIT, WHITE)
+    strength = {p.name: p.tau / 4 for p in effect.own_parameters() if p.tau and not p.shape}
+
+    def codes(camera, mirrored=()):
+        (frame,) = expose(camera, setup, 5, mode="derivative", rounded=False, mirrored=frozenset(mirrored))
+        return frame.mosaic.astype(float)
+
+    plain, noisier = codes(model), model.add(effect.changed(**strength))
+    up, down = codes(noisier) - plain, codes(noisier, [name]) - plain
+    assert np.linalg.norm(up) > 1
+    assert np.linalg.norm(up + down) / 2 < 0.5 * np.linalg.norm(up)  # .39 of the log-normal: whole electrons, and skew
