@@ -159,9 +159,12 @@ def fitted_members(
     """A fit of everything free from a pose, in long enough steps, on the lowest stair where members round whole codes anew.
 
     Noise widens the rows that it is in: the scales of their families would answer in its place, so that it is fitted with error
-    bars as they are stated.
+    bars as they are stated.  Nothing is ``beaten`` before its lowest stair was looked for: to where
+    derivatives of whole codes lead says nothing of how low that lies.
     """
     stated = _as_stated(members)
+    stairs = [stair for m in members if isinstance(m, Candidate) for stair in m.code_steps.items()]
+    beaten = np.inf if stairs else beaten
     fitted = fit(problem, start, free, pose=pose, iterations=iterations, stated=stated, enough=beaten)
     if fitted.cost > beaten:
         return fitted
@@ -176,9 +179,8 @@ def fitted_members(
             problem.columns.pop(label, None)
         near = fitted.leaves_more
         fitted = fit(problem, fitted.point, longer, pose=fitted.pose, iterations=iterations, stated=stated, near=near)
-    for member in members if iterations else ():
-        for key, code in member.code_steps.items() if isinstance(member, Candidate) else ():
-            fitted = on_lowest_step(problem, fitted, key, code)
+    for key, code in stairs if iterations else ():
+        fitted = on_lowest_step(problem, fitted, key, code)
     return fitted
 
 

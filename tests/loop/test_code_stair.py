@@ -16,7 +16,7 @@ from isetval.effects import catalogue
 from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
-from isetval.loop.evidence import hypothesis
+from isetval.loop.evidence import hypothesis, refit
 from isetval.loop.fit import fit
 from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neighbours
 from isetval.loop.posterior import NOTHING
@@ -72,6 +72,21 @@ def fitted_to(gain, seed):
     weigh_neighbours(case)
     found = fitted_jointly(case, frozenset({"digital_gain"}))
     return *found.fitted.value(KEY), found.fitted.chi2
+
+
+@pytest.mark.parametrize("start", [0.0045, 0.0075, 0.0125])
+def test_nothing_is_beaten_before_its_lowest_stair_was_looked_for(start):
+    """From a start where derivatives lead astray, beside a rival that is nearly as good as the truth."""
+    model, problem, signature = asked(codes(0.0085) + SIGMA_DN * np.random.default_rng(5).standard_normal(LEVELS.size))
+    nothing = hypothesis(problem, (), fit(problem, problem.origin, ()))
+
+    def ended(value, beaten):
+        steps = {KEY: float(signature.steps[0])}
+        problem.columns.clear()
+        return refit(problem, model, nothing, [signature.candidate], {KEY: value}, steps, beaten=beaten).log_evidence
+
+    truth = ended(0.0085, -np.inf)
+    assert ended(start, truth - 1.0) == pytest.approx(truth, abs=0.2)
 
 
 def steps_about(gain):
