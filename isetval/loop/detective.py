@@ -7,8 +7,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
@@ -144,7 +142,7 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     case = Investigation(prepared, held, problem, nothing, wanted, doubts_for(fitted.free), by_name, frame)
     case.known[NOTHING] = nothing
     scores = {c.name: score(frame, case.white()[c.name], side=c.only_side) for c in wanted}
-    case.unobservable = tuple(c.name for c in wanted if not _observable(c, scores[c.name]))
+    case.unobservable = tuple(c.name for c in wanted if not scores[c.name].shows(c.tau))
     tests = len(wanted) - len(case.unobservable)
     case.rows = [_row(c, scores[c.name], tests, c.name not in case.unobservable) for c in wanted]
     weigh_neighbours(case)
@@ -161,10 +159,6 @@ def _scanned(problem: Problem, nothing: Hypothesis, frame: Frame, made: Sequence
             place = best_place(problem, nothing, made, klass)
             out += [] if place is None else [place]
     return out
-
-
-def _observable(candidate: Candidate, found: Score) -> bool:
-    return bool(found.rank and np.any(found.sigma < candidate.tau))
 
 
 def _row(candidate: Candidate, found: Score, tests: int, observable: bool) -> CandidateRow:

@@ -120,7 +120,7 @@ def identify(
         for s in made:
             c = s.candidate
             found = score(frame, white[c.name])
-            seen = bool(found.rank and np.any(found.sigma < c.tau))
+            seen = found.shows(c.tau)
             if not seen:
                 hidden.append(c.name)
             sigmas = noncentralities(found.rank, len(made), one_sided=bool(c.only_side))

@@ -51,7 +51,7 @@ class Score:
     """Profiled score of one signature.
 
     ``estimate`` and ``sigma`` are the linear estimates of its parameters and their standard
-    deviations; ``rank`` the number of directions that the data can see.
+    deviations; ``rank`` the number of directions that the data can see, ``information`` (k, k) what they say of the parameters.
     """
 
     dchi2: float
@@ -60,6 +60,14 @@ class Score:
     estimate: Float
     sigma: Float
     direction: Float
+    information: Float
+
+    def shows(self, tau: Float) -> bool:
+        """Whether some direction of the parameters is better known than by priors of widths ``tau`` (k,).
+
+        Light by field position has three numbers, of which charts at two places show one: none of the three is known then.
+        """
+        return bool(self.rank) and bool(np.linalg.eigvalsh(self.information * np.outer(tau, tau))[-1] > 1)
 
 
 def score(frame: Frame, white: Float, *, side: float = 0.0) -> Score:
@@ -73,7 +81,7 @@ def score(frame: Frame, white: Float, *, side: float = 0.0) -> Score:
     k = white.shape[1]
     estimate, sigma = np.zeros(k), np.full(k, np.inf)
     if not seen.any():
-        return Score(0.0, 0, 1.0, estimate, sigma, np.zeros(frame.z.size))
+        return Score(0.0, 0, 1.0, estimate, sigma, np.zeros(frame.z.size), np.zeros((k, k)))
     u, s, vt = np.linalg.svd(part[:, seen] / size[seen], full_matrices=False)
     good = s > 1e-5 * s[0]
     u, s, vt = u[:, good], s[good], vt[good]
@@ -85,7 +93,7 @@ def score(frame: Frame, white: Float, *, side: float = 0.0) -> Score:
     p_value = float(chi2.sf(dchi2, rank))
     if side and rank == 1:
         p_value = p_value / 2 if side * estimate[seen][0] > 0 else 1.0
-    return Score(dchi2, rank, p_value, estimate, sigma, u @ along)
+    return Score(dchi2, rank, p_value, estimate, sigma, u @ along, np.asarray(part.T @ part))
 
 
 def cosine(frame: Frame, a: Float, b: Float) -> float:
