@@ -51,7 +51,7 @@ def likely_in_both(case: Investigation) -> list[Names]:
     are no reason for a fit, and the hold-out was never asked.  Here it is asked of the linear model, with the amplitudes that the
     captures used give: 2.5 sigmas here and five there are e^9 and more.  Signatures are those of the captures used, in the rows
     that both sessions have.  Looked at are those that stand out most there, whatever the width of their priors: by their
-    probability a knee of 2.4 sigmas here and 5.8 there was none of the first twenty (`full-scoring-1776`).
+    probability a knee that the hold-out shows was none of the first twenty (`full-scoring-1776`).
     """
     logs, white = case.table.logs, case.white()
     effects = {frozenset({c.name}): c for c in case.candidates if c.name not in case.unobservable}
