@@ -18,6 +18,7 @@ from isetval.effects.pupil import REFERENCE_NM, by_dispersion, field_point
 
 Float = NDArray[np.float64]
 GLASS = 1.5  # index of a cover glass, on which the angle inside hangs
+ORDERS_AT_ONCE = 4096  # 13 MB of waves at 400 wavelengths: a cover glass of a millimeter has thousands of orders
 UNIT = 0.01  # an amplitude within its bounds
 ORDER_STEP = 0.005  # orders between which a fringe is a straight line to 2.3e-4 of its height: (2 pi step 550/400)^2/8 at 400 nm
 
@@ -217,8 +218,12 @@ class EtalonRipple(Effect):
         if radiance is None or grid.size < 2:
             return np.stack([self._wave(nm, order) for nm in grid])
         points, shares = radiance.photon_shares(grid)
-        orders = np.arange(float(order.min()), float(order.max()) + 2 * ORDER_STEP, ORDER_STEP)
-        means = shares @ self._wave(points[:, None], orders)
+        count = int((float(order.max()) - float(order.min())) / ORDER_STEP) + 3
+        orders = float(order.min()) + ORDER_STEP * np.arange(count) if count < order.size else order.ravel()
+        parts = np.array_split(orders, -(-orders.size // ORDERS_AT_ONCE))
+        means = np.hstack([shares @ self._wave(points[:, None], part) for part in parts])
+        if count >= order.size:
+            return means.reshape(-1, *order.shape)
         return np.stack([np.interp(order, orders, band) for band in means])
 
     def _wave(self, wavelength_nm: Float, order: Float) -> Float:

@@ -22,7 +22,7 @@ CONTRAST, NEAR_ZERO = "mtf", 3.0  # sigmas of a contrast within which it may be 
 MIN_GATE = 0.05  # what sigma may be off by, however many repeats there are: 2.5 % of it
 ALIKE = 0.25
 """Mean square below which repeats are too alike: stated error bars are twice as wide as what they show, or the files are copies.
-Wide error bars find nothing that is not there, and priors of set-ups are upper ends in most laboratories."""
+Down to it wide error bars find nothing that is not there."""
 
 
 def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit | None = None) -> dict[str, Any]:

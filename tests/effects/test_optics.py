@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from isetval.core.scene import EdgeTarget, Scene
+from isetval.core.scene import EdgeTarget, Scene, Spectrum
 from isetval.core.signal import Layer, Signal
 from isetval.effects.optics_blur import Aperture, Astigmatism, Coma, Defocus, Diffraction, MotionBlur, Spherical
 from isetval.effects.optics_field import (
@@ -159,6 +159,20 @@ def test_a_plate_has_its_transmission_at_any_thickness(place, light):
         EtalonRipple(**{name: 0.01}).apply(light(shape=(1, x.size)), row).values[0, 0] - 1 for name in ("amplitude", "quadrature")
     ]
     np.testing.assert_allclose(np.hypot(*wave), 0.01, rtol=1e-6)
+
+
+def test_orders_between_which_a_ripple_is_a_line_give_what_each_pixel_gives(place, light):
+    """Few pixels are each taken at their own order, many between orders .005 apart."""
+    grid = np.arange(420.0, 701.0, 5.0)
+    lamp = Spectrum(np.arange(400.0, 721.0), 1 + 5 * np.exp(-(((np.arange(400.0, 721.0) - 546) / 3) ** 2)))
+    effect, sensor = EtalonRipple(amplitude=0.01, quadrature=0.02, order_550=25.0), place().sensor
+    window = (sensor.rows // 4, sensor.cols // 4, 40, 100)
+    many = effect.apply(light(np.ones(grid.size), grid, window[2:]), place(window=window, radiance=lamp)).values
+    for row in (0, 17):
+        one = (window[0] + row, window[1], 1, 8)
+        few = effect.apply(light(np.ones(grid.size), grid, (1, 8)), place(window=one, radiance=lamp)).values
+        np.testing.assert_allclose(many[:, row, :8], few[:, 0], atol=0.03 * 2.5e-4)
+    assert np.ptp(many) > 0.02
 
 
 def test_motion_blur_is_a_box_along_its_direction(place, light):
