@@ -20,9 +20,6 @@ from isetval.loop.slopes import slopes
 Float = NDArray[np.float64]
 CONTRAST, NEAR_ZERO = "mtf", 3.0  # sigmas of a contrast within which it may be on either side of zero, once in 700 farther off
 MIN_GATE = 0.05  # what sigma may be off by, however many repeats there are: 2.5 % of it
-ALIKE = 0.25
-"""Mean square below which repeats are too alike: stated error bars are twice as wide as what they show, or the files are copies.
-Down to it wide error bars find nothing that is not there."""
 
 
 def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit | None = None) -> dict[str, Any]:
@@ -30,8 +27,7 @@ def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit 
 
     z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the set-up scope priors of
     both; their mean square, over what it is where captures scatter as the replicas do (ten contrasts of an edge hold five
-    numbers), may be above 1 by max(0.05, 3 sd), and as low as `ALIKE`.  With what it is over known from some replicas alone it is
-    distributed as F.
+    numbers), must be 1 within max(0.05, 3 sd).  With what it is over known from some replicas alone it is distributed as F.
 
     Returns
     -------
@@ -53,8 +49,8 @@ def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit 
     # 3 standard deviations as a probability: F is skew where the repeats are few
     known = len(rows) * (problem.base.replicas - 1)
     low, high = (float(f.ppf(p, max(numbers, 1.0), known)) for p in (norm.sf(3), norm.cdf(3)))
+    failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
     allowed = max(high, 1 + MIN_GATE) - 1
-    failed = not min(low, ALIKE) <= square <= 1 + allowed
     return {"run": True, "failed": failed, "mean_square_z": square, "n": round(numbers), "allowed": allowed}
 
 

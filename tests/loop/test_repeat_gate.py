@@ -87,7 +87,7 @@ def test_set_ups_of_one_light_agree_whatever_its_spectrum(tilt, apart):
     assert np.mean(squares) == pytest.approx(expected, abs=0.25)
 
 
-@pytest.mark.parametrize(("scatter", "failed"), [(1.0, False), (3.0, True), (0.5, False), (0.1, True)])
+@pytest.mark.parametrize(("scatter", "failed"), [(1.0, False), (3.0, True), (0.2, True)])
 def test_rows_that_hold_fewer_numbers_than_they_are_have_a_mean_square_of_one(scatter, failed):
     """Of 90 rows that hold 30 numbers a tenth of the variance is stated as if it were each row's own."""
     rng = np.random.default_rng(3)

@@ -28,7 +28,7 @@ def gate_line(gate: Mapping[str, Any]) -> str:
     bars = "" if nominal is None else f", {nominal:.3f} with the error bars of the first model"
     return (
         f"repeat gate: {words}; mean-square z of {gate['n']} repeated numbers {gate['mean_square_z']:.3f} "
-        f"(up to {1 + gate['allowed']:.2f} allowed{bars})"
+        f"(1 +- {gate['allowed']:.2f} allowed{bars})"
     )
 
 
