@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -123,12 +123,15 @@ class FreeAxis:
 class Scan:
     """A shape in which the likelihood has many valleys, of an effect that is a gain by wavelength and place.
 
-    A diagnosis asks for it at ``values``, and about the best of them ``finer`` (`isetval.loop.scan`).
+    A diagnosis asks for it at ``values``, and about the best of them ``finer`` (`isetval.loop.scan`).  ``gains(effect, names,
+    wavelength_nm, x_mm, y_mm, radiance)`` are derivatives (parameters, bands, places) of ln of the light by the named parameters
+    where they are 0, at places (places,) of the sensor, in a light of that radiance.
     """
 
     shape: str
     values: tuple[float, ...]
     finer: float
+    gains: Callable[[Any, Sequence[str], Float, Float, Float, Spectrum | None], Float]
 
     @property
     def count(self) -> int:
@@ -293,12 +296,6 @@ class Effect:
         Fits take derivatives by it and by focus errors along one line: they are told apart by priors and other shots alone.
         """
         return 0.0
-
-    def spectral_gains(
-        self, names: Sequence[str], wavelength_nm: Float, x_mm: Float, y_mm: Float, radiance: Spectrum | None
-    ) -> Float:
-        """Derivatives (parameters, bands, places) of ln of the light by the named parameters where they are 0 (with a `scan`)."""
-        raise NotImplementedError(f"effect {self.name} states no gain by wavelength and place")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """The signal behind this effect."""

@@ -129,12 +129,15 @@ def _weighted_means(light: tuple[bytes, bytes], spectrum: tuple[bytes, bytes], g
     return np.asarray(means)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=64)  # .2 MB each
 def _photon_shares(light: tuple[bytes, bytes], grid_nm: bytes) -> tuple[Float, Float]:
+    """`Spectrum.photon_shares`, read-only; sums with trapezoid weights."""
     grid, spectrum = np.frombuffer(grid_nm), Spectrum(*map(np.frombuffer, light))
     points = _points(grid, spectrum)
     points = points[(points >= grid[0]) & (points <= grid[-1])]
-    hats = np.array([np.interp(points, grid, unit) for unit in np.eye(grid.size)]) * np.gradient(points)
+    wide = np.gradient(points)
+    wide[[0, -1]] /= 2
+    hats = np.array([np.interp(points, grid, unit) for unit in np.eye(grid.size)]) * wide
     weight = hats * np.maximum(spectrum.at(points), 0.0) * points
     total = weight.sum(axis=1, keepdims=True)
     shares = np.where(total > 0, weight, hats) / np.where(total > 0, total, hats.sum(axis=1, keepdims=True))

@@ -145,6 +145,14 @@ class Decenter(Effect):
         return signal.scaled((((1 + _tangent2(x, y, self.focal_mm)) / (1 + moved)) ** 2)[None])
 
 
+def _ripple_gains(
+    plate: EtalonRipple, names: Sequence[str], wavelength_nm: Float, x_mm: Float, y_mm: Float, radiance: Spectrum | None
+) -> Float:
+    """The ripple of a plate per unit of each of its amplitudes (`Scan.gains`)."""
+    order, none = plate.order_at(x_mm, y_mm), {"amplitude": 0.0, "quadrature": 0.0}
+    return np.stack([plate.changed(**none | {name: UNIT}).ripple(order, wavelength_nm, radiance) / UNIT for name in names])
+
+
 @dataclass(frozen=True, kw_only=True)
 class EtalonRipple(Effect):
     """Interference in the cover glass: radial fringes on flats, washed out by broad-band light.
@@ -166,7 +174,7 @@ class EtalonRipple(Effect):
     )
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"order_550": (20.0, 40.0)}
     # lines of a lamp 60 nm apart turn against each other once in 9 orders, all of a mercury lamp's once in 2.8
-    scan: ClassVar[Scan | None] = Scan("order_550", tuple(np.arange(10.0, 60.01, 0.25).tolist()), 0.05)
+    scan: ClassVar[Scan | None] = Scan("order_550", tuple(np.arange(10.0, 60.01, 0.25).tolist()), 0.05, _ripple_gains)
     equation = (
         "E x (1 + a cos(phi) + b sin(phi)), phi = 2 pi (550 nm/lambda) m cos(theta'), sin(theta') = sin(theta)/1.5, theta the "
         "angle of the chief ray, averaged over the photons of each band; m - n r^2 for m cos(theta') where n fringes to the "
@@ -194,26 +202,20 @@ class EtalonRipple(Effect):
         if not (self.amplitude or self.quadrature):
             return signal
         grid = np.array([REFERENCE_NM]) if signal.wavelength_nm is None else signal.wavelength_nm
-        return signal.scaled(1 + self._ripple(self._order(context), grid, context.radiance))
-
-    def spectral_gains(
-        self, names: Sequence[str], wavelength_nm: Float, x_mm: Float, y_mm: Float, radiance: Spectrum | None
-    ) -> Float:
-        """The ripple of a plate per unit of each of its amplitudes, (parameters, bands, places)."""
-        order, none = self._order_in_plate(x_mm, y_mm), {"amplitude": 0.0, "quadrature": 0.0}
-        return np.stack([self.changed(**none | {name: UNIT})._ripple(order, wavelength_nm, radiance) / UNIT for name in names])
+        return signal.scaled(1 + self.ripple(self._order(context), grid, context.radiance))
 
     def _order(self, context: Context) -> Float:
         """Interference order at 550 nm, (rows, cols)."""
         if self.fringes:
             return np.asarray(self.order_550 - self.fringes * context.field_radius() ** 2)
-        return self._order_in_plate(*context.xy_mm())
+        return self.order_at(*context.xy_mm())
 
-    def _order_in_plate(self, x_mm: Float, y_mm: Float) -> Float:
+    def order_at(self, x_mm: Float, y_mm: Float) -> Float:
+        """Interference order at 550 nm of a plate, where chief rays arrive at places in mm from the sensor's middle."""
         tangent2 = _tangent2(x_mm, y_mm, self.focal_mm)
         return np.asarray(self.order_550 * np.sqrt(1 - tangent2 / (1 + tangent2) / GLASS**2))
 
-    def _ripple(self, order: Float, grid: Float, radiance: Spectrum | None) -> Float:
+    def ripple(self, order: Float, grid: Float, radiance: Spectrum | None) -> Float:
         """The ripple (bands, ...) at orders (...), averaged over the photons of each band of a light's ``radiance``."""
         if radiance is None or grid.size < 2:
             return np.stack([self._wave(nm, order) for nm in grid])

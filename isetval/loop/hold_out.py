@@ -53,6 +53,8 @@ def likely_in_both(case: Investigation) -> list[Names]:
     that both sessions have.  Looked at are those that stand out most there, whatever the width of their priors: by their
     probability a knee that the hold-out shows was none of the first twenty (`full-scoring-1776`).
     """
+    if case.held is None:
+        return []
     logs, white = case.table.logs, case.white()
     effects = {frozenset({c.name}): c for c in case.candidates if c.name not in case.unobservable}
     chance = {
@@ -61,7 +63,7 @@ def likely_in_both(case: Investigation) -> list[Names]:
         if names in logs and names not in case.known
     }
     looked = sorted(chance, key=lambda names: chance[names])[:LOOKED]
-    if case.held is None or not looked:
+    if not looked:
         return []
     terms = [Term(c.name, white[c.name], c.tau, c.side) for c in (effects[names] for names in looked)]
     here = linear_model(case.problem, case.known[NOTHING].fitted, terms)

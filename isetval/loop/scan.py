@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from isetval.core.campaign import Shot
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, Scan, parameter
 from isetval.core.scene import ChartTarget
 from isetval.core.sensor import Roi
 from isetval.core.signal import Signal
@@ -72,7 +72,7 @@ def best_place(problem: Problem, without: Hypothesis, made: Sequence[Signature],
 
     def promised(values: Sequence[float]) -> dict[float, float]:
         placed = [forms[0].effect.changed(**{scan.shape: value}) for value in values]
-        columns = [columns_of(problem, effect, [p.name for p in forms[0].parameters], responses) for effect in placed]
+        columns = [columns_of(problem, scan, effect, [p.name for p in forms[0].parameters], responses) for effect in placed]
         terms = [Term(klass, w, forms[0].tau, forms[0].side) for w in problem.whitened_each(columns)]
         return dict(zip(values, best_with(linear_model(problem, without.fitted, [*terms, *beside]), len(values)), strict=True))
 
@@ -103,7 +103,7 @@ def _sees_color(shot: Shot) -> bool:
     return bool(shot.light) and shot.role != "edge" and shot.given is None
 
 
-def columns_of(problem: Problem, effect: Effect, names: Sequence[str], responses: Float) -> Float:
+def columns_of(problem: Problem, scan: Scan, effect: Effect, names: Sequence[str], responses: Float) -> Float:
     """Raw columns (metrics, parameters) of an effect that is a gain by wavelength and place, from `band_responses`.
 
     At the middle of each patch or window: fringes are wider.
@@ -115,7 +115,7 @@ def columns_of(problem: Problem, effect: Effect, names: Sequence[str], responses
     for name, light in problem.plan.lights.items():
         own = np.flatnonzero((lights == name) & np.isfinite(x) & np.isfinite(y) & responses.any(axis=1))
         if own.size:
-            gains = effect.spectral_gains(names, grid, x[own], y[own], light.radiance)
+            gains = scan.gains(effect, names, grid, x[own], y[own], light.radiance)
             out[own] = np.einsum("rb,pbr->rp", responses[own], gains)
     return out
 

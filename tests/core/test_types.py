@@ -64,6 +64,23 @@ def test_photons_of_a_light_are_exact_behind_an_efficiency_of_straight_lines():
     assert abs(by_energy / exact - 1) > 1e-4
 
 
+def test_what_changes_faster_than_bands_is_averaged_over_their_photons():
+    """A ripple in the line of a lamp: photons x ripple x efficiency, the integral on a fine grid."""
+    table = np.arange(400.0, 701.0)
+    light = Spectrum(table, 0.2 + 4 * np.exp(-(((table - 546) / 4) ** 2)))
+    grid = np.arange(400.0, 701.0, 5.0)
+    efficiency = np.interp(grid, [400.0, 520.0, 700.0], [0.1, 0.6, 0.2])
+    points, shares = light.photon_shares(grid)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    each = light.photon_means(grid) * grid * efficiency
+    fine = np.arange(400.0, 700.001, 0.01)
+    exact = np.trapezoid(light.at(fine) * fine * np.interp(fine, grid, efficiency) * np.cos(fine / 4), fine)
+    assert np.trapezoid(each * (shares @ np.cos(points / 4)), grid) == pytest.approx(exact, rel=0.01)
+    assert np.trapezoid(each * np.cos(grid / 4), grid) != pytest.approx(exact, rel=0.05)  # a ripple of 25 nm at the nodes
+    dark = Spectrum(np.array([400.0, 550.0, 551.0, 700.0]), np.array([0.0, 0.0, 1.0, 1.0]))
+    np.testing.assert_allclose(dark.photon_shares(grid)[1].sum(axis=1), 1.0)
+
+
 def test_band_means_keep_the_integral_of_a_narrow_line():
     grid = np.arange(380.0, 741.0, 5.0)
     fine = np.arange(380.0, 740.01, 0.1)

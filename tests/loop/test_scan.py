@@ -10,6 +10,7 @@ from isetval.core.toml import data_folder
 from isetval.effects.color import ChannelGain
 from isetval.effects.optics_field import EtalonRipple
 from isetval.loop.candidates import candidates_for
+from isetval.loop.detective import _scanned
 from isetval.loop.evidence import hypothesis
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
@@ -37,27 +38,33 @@ def case(tmp_path_factory):
             wanted = [c for c in candidates_for(model) if c.klass in ("etalon_ripple", "channel_gain")]
             frame = make_frame(fitted)
             made = signatures(problem, Point(model, {}), wanted, project=frame.basis[: frame.rows])
-            yield problem, hypothesis(problem, (), fitted), made
+            yield problem, hypothesis(problem, (), fitted), frame, made
 
 
 def test_narrow_bands_add_up_to_the_ripple(case):
     """Columns from 73 responses against those of the effect simulated in full, at the forms that are asked for anyhow."""
-    problem, _, made = case
+    problem, _, _, made = case
     responses = band_responses(problem)
     plates = [s for s in made if s.candidate.klass == "etalon_ripple"]
     assert len(plates) == 2
     for plate in plates:
-        added = columns_of(problem, plate.candidate.effect, ["amplitude", "quadrature"], responses)
+        added = columns_of(problem, EtalonRipple.scan, plate.candidate.effect, ["amplitude", "quadrature"], responses)
         for ours, theirs in zip(problem.whitened(added).T, problem.whitened(plate.columns).T, strict=True):
             assert np.linalg.norm(ours - theirs) < 0.02 * np.linalg.norm(theirs)
 
 
 def test_the_order_is_found_beside_another_effect(case):
     """Alone, another order answers for the darker filter, too."""
-    problem, nothing, made = case
-    found = best_place(problem, nothing, made, "etalon_ripple")
+    problem, nothing, frame, made = case
+    (found,) = _scanned(problem, nothing, frame, made)
     assert found.effect.order_550 == pytest.approx(ORDER, abs=0.15)
     assert found.prior_weight == 1 / 51
     assert found.klass == "etalon_ripple"
     alone = best_place(problem, nothing, [s for s in made if s.candidate.klass == "etalon_ripple"], "etalon_ripple")
     assert alone.effect.order_550 != pytest.approx(ORDER, abs=0.3)
+
+
+def test_no_order_is_looked_for_where_no_form_shows_anything(case):
+    problem, nothing, frame, made = case
+    quiet = replace(frame, z=0.0 * frame.z)
+    assert _scanned(problem, nothing, quiet, made) == []
