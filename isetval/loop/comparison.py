@@ -23,7 +23,7 @@ from isetval.loop.given_side import given_rows
 from isetval.loop.prepared import Prepared, prepare
 from isetval.loop.problem import Problem
 from isetval.loop.region_change import region_change
-from isetval.loop.repeats import gate_with, repeat_gate
+from isetval.loop.repeats import Session, gate_with, repeat_gate
 from isetval.loop.telling import Progress, Say, Teller
 
 if TYPE_CHECKING:
@@ -231,10 +231,10 @@ def comparison_of(
     budget: list[BudgetRow] = []
     teller = Teller.of(say)
     notes = list(prepared.table.notes)
-    gate = repeat_gate(prepared)
+    gate = repeat_gate(Session(prepared))
     for model in models:
         problem, fitted = prepared.settled(model)
-        gate = gate_with(prepared, gate, problem, fitted)
+        gate = gate_with(gate, Session(prepared, problem, fitted))
         if not fitted.converged:
             notes.append(f"{model.name}: the fit of the laboratory's unknowns did not settle; its errors are upper bounds")
         frames.append(_rows(prepared, problem, model, fitted))

@@ -13,12 +13,12 @@ from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
-from isetval.loop.investigation import Investigation, weigh_neighbours
+from isetval.loop.investigation import Investigation, named_model, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, split_sessions
 from isetval.loop.problem import Problem
-from isetval.loop.repeats import gate_with, repeat_gate
+from isetval.loop.repeats import Session, gate_with, repeat_gate
 from isetval.loop.result import CandidateRow, Diagnosis
 from isetval.loop.scan import best_place
 from isetval.loop.score_test import Frame, Score, make_frame, score
@@ -90,22 +90,22 @@ def diagnose(
     with ExitStack() as stack:
         try:
             prepared = stack.enter_context(prepare(model, used, jobs=jobs, say=watch))
-            gate = repeat_gate(prepared)
+            held = stack.enter_context(prepare(model, other, jobs=jobs, say=watch)) if other is not None else ready
+            gate = repeat_gate(*(Session(own) for own in (prepared, held) if own is not None))
             if gate["failed"]:
                 watch("repeated set-ups do not agree within the nominal camera's error bars; what is found will be asked too")
-            held = stack.enter_context(prepare(model, other, jobs=jobs, say=watch)) if other is not None else ready
             case = _open_case(prepared, model, watch, held)
         except TimeUp:
             return _unfinished(model, watch)
         try:
             cut = search(case, watch)
-            gate = gate_with(prepared, gate, case.problem, case.fitted)
+            gate = _gate_with(case, gate)
             if gate["failed"]:
                 return _gate_failed(case, gate)
             return account_of(case, gate, say=watch, more=with_next_captures, cut=cut, unfitted=unfitted(case) if cut else ())
         except TimeUp:
             watch.open = False
-            gate = gate_with(prepared, gate, case.problem, case.fitted)
+            gate = _gate_with(case, gate)
             return _gate_failed(case, gate) if gate["failed"] else stopped_account(case, gate, watch, unfitted=unfitted(case))
 
 
@@ -113,6 +113,16 @@ def _unfinished(model: CameraModel, watch: Deadline) -> Diagnosis:
     words = (f"any effect: stopped after {watch.limit_s:g} s while {watch.words}",)
     gate = {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None, "reason": "the time was over before"}
     return Diagnosis("unfinished", (), (), (), (), None, (), gate, model, model, not_looked_at=words)
+
+
+def _gate_with(case: Investigation, nominal: Mapping[str, Any]) -> dict[str, Any]:
+    """The gate that failed with the nominal camera's error bars, asked with those of what stands, in both sessions."""
+    if not nominal["failed"]:
+        return dict(nominal)
+    sessions = [Session(case.prepared, case.problem, case.fitted)]
+    if case.held is not None:
+        sessions.append(Session(case.held, *case.held.settled(named_model(case.prepared.model, case.standing))))
+    return gate_with(nominal, *sessions)
 
 
 def _gate_failed(case: Investigation, gate: Mapping[str, Any]) -> Diagnosis:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,12 +22,39 @@ CONTRAST, NEAR_ZERO = "mtf", 3.0  # sigmas of a contrast within which it may be 
 MIN_GATE = 0.05  # what sigma may be off by, however many repeats there are: 2.5 % of it
 
 
-def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit | None = None) -> dict[str, Any]:
-    """Whether repeated set-ups agree within the error bars of ``problem`` at ``fitted`` (default: those of the prepared model).
+@dataclass(frozen=True)
+class Session:
+    """A session, and the error bars that its repeats are judged with: those of ``problem`` at ``fitted``.
+
+    Without them the error bars are those of the model that the session was prepared with.
+    """
+
+    prepared: Prepared
+    problem: Problem | None = None
+    fitted: Fit | None = None
+
+
+@dataclass(frozen=True)
+class _Repeated:
+    """z of a session's repeats: the sum of their squares, and of what it is expected from.
+
+    ``numbers`` is the sum where captures scatter as the replicas do, ``spread`` half its variance (the squares of the scales of
+    the independent numbers in it), ``known`` how many replicas beyond the first tell it.
+    """
+
+    square: float
+    numbers: float
+    spread: float
+    known: int
+
+
+def repeat_gate(*sessions: Session) -> dict[str, Any]:
+    """Whether repeated set-ups agree within the error bars, those of all sessions together.
 
     z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the set-up scope priors of
     both; their mean square, over what it is where captures scatter as the replicas do (ten contrasts of an edge hold five
-    numbers), must be 1 within max(0.05, 3 sd).  With what it is over known from some replicas alone it is distributed as F.
+    numbers), must be 1 within max(0.05, 3 sd).  A sum of squares of unequal scales has the spread of fewer equal ones
+    (Satterthwaite); with what it is over known from some replicas alone it is distributed as F.
 
     Returns
     -------
@@ -35,52 +62,69 @@ def repeat_gate(prepared: Prepared, problem: Problem | None = None, fitted: Fit 
         ``run`` (False without repeats), ``failed``, ``mean_square_z``, ``n`` (how many numbers the repeated rows hold),
         ``allowed`` (by how much more than 1 it may be).
     """
-    problem = problem or prepared.problem
-    rows, difference, spread = repeat_differences(prepared, problem, fitted)
-    if not rows:
+    found = [own for own in (_repeated(session) for session in sessions) if own is not None]
+    if not found:
         return {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None}
-    values, vectors = np.linalg.eigh(spread)
-    use = values > 1e-9 * values.max()
-    z = (vectors.T @ difference)[use] / np.sqrt(values[use])
     from scipy.stats import f, norm
 
-    numbers = _numbers_held(problem, rows, vectors[:, use], values[use])
-    square = float(np.sum(z**2)) / numbers
+    numbers = sum(own.numbers for own in found)
+    square = sum(own.square for own in found) / numbers
+    equal = max(numbers**2 / sum(own.spread for own in found), 1.0)
+    # sessions of one plan share their replicas: of two, what the sum is over is known no better than of one
+    known = equal / len(found) * min(own.known for own in found)
     # 3 standard deviations as a probability: F is skew where the repeats are few
-    known = len(rows) * (problem.base.replicas - 1)
-    low, high = (float(f.ppf(p, max(numbers, 1.0), known)) for p in (norm.sf(3), norm.cdf(3)))
+    low, high = (float(f.ppf(p, equal, known)) for p in (norm.sf(3), norm.cdf(3)))
     failed = not min(low, 1 - MIN_GATE) <= square <= max(high, 1 + MIN_GATE)
     allowed = max(high, 1 + MIN_GATE) - 1
     return {"run": True, "failed": failed, "mean_square_z": square, "n": round(numbers), "allowed": allowed}
 
 
-def gate_with(prepared: Prepared, nominal: Mapping[str, Any], problem: Problem, fitted: Fit) -> dict[str, Any]:
+def gate_with(nominal: Mapping[str, Any], *sessions: Session) -> dict[str, Any]:
     """A gate that failed with the nominal camera's error bars (``nominal``), asked with those of another model.
 
     A strong effect changes what repeats should differ by: behind a smoothing rows and columns scatter otherwise, behind a bent
     converter two levels of one light are no longer in proportion.  ``nominal_mean_square_z`` keeps what it was.
     """
-    if not nominal["failed"] or problem is prepared.problem:
+    if not nominal["failed"] or all(s.problem is None or s.problem is s.prepared.problem for s in sessions):
         return dict(nominal)
     first = nominal.get("nominal_mean_square_z", nominal["mean_square_z"])
-    return repeat_gate(prepared, problem, fitted) | {"nominal_mean_square_z": first}
+    return repeat_gate(*sessions) | {"nominal_mean_square_z": first}
 
 
-def _numbers_held(problem: Problem, rows: Sequence[tuple[int, int]], axes: Float, stated: Float) -> float:
-    """What squares of z (``axes`` (pairs, n) of variances ``stated``) sum to where captures scatter as the replicas do.
+def _repeated(session: Session) -> _Repeated | None:
+    problem = session.problem or session.prepared.problem
+    rows, difference, stated = repeat_differences(session.prepared, problem, session.fitted)
+    if not rows:
+        return None
+    values, vectors = np.linalg.eigh(stated)
+    use = values > 1e-9 * values.max()
+    white = vectors[:, use] / np.sqrt(values[use])
+    return _Repeated(float(np.sum((white.T @ difference) ** 2)), *_numbers_held(problem, rows, white), problem.base.replicas - 1)
 
-    At most how many they are; drawn towards that as the ladder's are (`gaussian.towards_one`).  Of what has no scatter in
-    replicas (rows given with error bars) they say nothing.
+
+def _numbers_held(problem: Problem, rows: Sequence[tuple[int, int]], white: Float) -> tuple[float, float]:
+    """What squares of z (``white`` (pairs, n): whitening) sum to where captures scatter as the replicas do, half its variance.
+
+    The traces of the covariance C of z and of its square.  For the latter k + 1 replicas of sample covariance S stand with
+    k^2 / ((k + 2) (k - 1)) (tr S^2 - tr(S)^2 / k) (Srivastava 2005, J. Japan Statist. Soc. 35, 251).  The sum is at most how many
+    they are, and drawn towards that as the ladder's are (`gaussian.towards_one`).  Of what has no scatter in replicas (rows given
+    with error bars) they say nothing.
     """
     first, second = np.transpose(rows)
     apart = problem.base.values[:, first] - problem.base.values[:, second]
     shows = np.ptp(apart, axis=0) > 0
     both = np.concatenate([first[shows], second[shows]])
-    pick = np.concatenate([axes[shows], -axes[shows]])
-    sampled = np.sum(pick * (problem.base.covariance[np.ix_(both, both)] @ pick), axis=0)
-    shown = np.var(apart[:, shows] @ axes[shows], axis=0, ddof=1)
-    total = float(np.sum((stated - sampled + shown) / stated))
-    return stated.size * min(towards_one(total, stated.size, problem.base.replicas), 1.0)
+    pick = np.concatenate([white[shows], -white[shows]])
+    n, k = white.shape[1], problem.base.replicas - 1
+    unseen = np.eye(n) - pick.T @ problem.base.covariance[np.ix_(both, both)] @ pick
+    z = apart[:, shows] @ white[shows]
+    z = z - z.mean(axis=0)
+    shown = z.T @ z / k
+    total = float(np.trace(unseen + shown))
+    of_shown = k**2 / ((k + 2) * (k - 1)) * (np.sum(shown**2) - np.trace(shown) ** 2 / k) if k > 1 else np.trace(shown)
+    squares = float(of_shown + 2 * np.sum(unseen * shown) + np.sum(unseen**2))
+    held = n * min(towards_one(total, n, problem.base.replicas), 1.0)
+    return held, held**2 * max(squares / total**2, 1 / n)
 
 
 def repeat_differences(

@@ -8,7 +8,8 @@ from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis
 from isetval.loop.fit import Fit
 from isetval.loop.forms import in_best_form
 from isetval.loop.hold_out import ask_holdout, likely_in_both, said
-from isetval.loop.investigation import CLEAR, ODDS, Heard, Investigation, asked_for, weigh_neighbours
+from isetval.loop.investigation import CLEAR, ODDS, Heard, Investigation, asked_for, fitted_jointly, weigh_neighbours
+from isetval.loop.likeness import doubtful
 from isetval.loop.posterior import Names
 from isetval.loop.rebase import rebase
 from isetval.loop.shortlist import SHORT_LIST, fit_each, fit_likely, of_several_classes
@@ -81,15 +82,29 @@ def _search(case: Investigation, say: Deadline, seen: set[Names]) -> None:
 
 
 def _settle(case: Investigation, say: Deadline, seen: set[Names]) -> None:
-    """Weigh what stands at its own base, and what is left of it where the hold-out denies a part."""
+    """Weigh what stands at its own base, and what is left of it where the hold-out denies a part or nobody believes it.
+
+    A further name that came last had no turn after it in which something else might have taken its place, as one in most
+    searches has: where the sum has that likelier than not, it is no longer stated.
+    """
     for _ in range(MAX_EFFECTS):
         if not case.is_based:
             _move_base(case, say)
         weigh_neighbours(case)
         better = _decided(case, say, seen | {case.standing.names})
         if better is None or not better.names < case.standing.names:
+            better = _without(case, doubtful(case))
+        if better is None:
             return
         case.standing = better
+
+
+def _without(case: Investigation, name: str | None) -> Hypothesis | None:
+    """What stands without one of its names, fitted to its end; None without a name."""
+    if name is None:
+        return None
+    names = case.standing.names - {name}
+    return case.known[names] if names in case.known and names not in case.rough else fitted_jointly(case, names)
 
 
 def _heard_of(case: Investigation, named: Hypothesis) -> dict[Names, Heard]:

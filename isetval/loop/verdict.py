@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Doubt
 from isetval.loop.comparison import captures_of, ladder_rows
-from isetval.loop.evidence import CLOSE_LOG_ODDS, least_chi2
+from isetval.loop.evidence import least_chi2
 from isetval.loop.form_curve import curve_of
 from isetval.loop.forms import other_forms
 from isetval.loop.investigation import Investigation, named_model
+from isetval.loop.likeness import Likeness, chance_of, likenesses, nominal_signatures
 from isetval.loop.next_captures import next_captures
 from isetval.loop.posterior import UNKNOWN, Names, Posterior
 from isetval.loop.prepared import Prepared
@@ -40,7 +41,6 @@ ALPHA = 0.01  # false alarms in a true model, all candidates together
 FINDINGS = 3
 """That would be false in a true model: a name, what is left over, an unknown far off, which has its share of them."""
 OF_CAMERA = "campaign"  # the scope of a tolerance that all captures share
-SAME_RHO = 0.95  # profiled cosine above which ten sigmas of one leave three of the other: not to be told apart
 
 
 def account_of(
@@ -54,7 +54,7 @@ def account_of(
     prepared, held = case.prepared, case.held
     nominal = prepared.model
     say("weighing what is left over")
-    beside, like = with_unknown(case), _likenesses(case)
+    beside, like = with_unknown(case), likenesses(case)
     stated = _stated(case, gate, like, beside)
     words = [*_words_left(case, beside), *against_priors(case), *unconfirmed(case.standing.names, beside.table)]
     words += _beyond(case.standing.names, beside.table) if cut else []
@@ -125,7 +125,7 @@ def stopped_account(case: Investigation, gate: Mapping[str, Any], watch: Deadlin
     """
     beside = with_unknown(case, ask_holdout=False)
     return replace(
-        _stated(case, gate, _likenesses(case), beside),
+        _stated(case, gate, likenesses(case), beside),
         leftover="; ".join(_words_left(case, beside)) or None,
         not_looked_at=(
             f"all that comes after {watch.limit_s:g} s: stopped while {watch.words}",
@@ -182,48 +182,9 @@ def _words_of(unknown: Unknown) -> list[str]:
     return told
 
 
-@dataclass(frozen=True)
-class Likeness:
-    """What else could be meant by a named effect: ``rivals`` explain the data nearly as well, ``alike`` any data."""
-
-    rivals: tuple[str, ...]
-    alike: tuple[str, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All of them, each once."""
-        return tuple(dict.fromkeys([*self.rivals, *self.alike]))
-
-
-def _likenesses(case: Investigation) -> dict[str, Likeness]:
-    """Of every named effect: what may stand in its place in the sum, and what shows alike whatever is measured."""
-    frame, white, logs = case.nominal_frame, _nominal_signatures(case), case.table.logs
-    stands, out = case.standing.names, {}
-    others = [c.name for c in case.candidates if c.name not in (*stands, *case.unobservable)]
-    klass = {c.name: c.klass for c in case.candidates}
-    best = logs.get(stands, case.score(case.standing))
-    for name in (m.name for m in case.standing.effects):
-        rest = stands - {name}
-        other = [o for o in others if klass[o] != klass[name]]
-        near = {o: logs[rest | {o}] for o in other if logs.get(rest | {o}, -np.inf) > best - CLOSE_LOG_ODDS}
-        alike = dict.fromkeys(klass[o] for o in other if cosine(frame, white[name], white[o]) > SAME_RHO)
-        rivals = dict.fromkeys(klass[o] for o in sorted(near, key=lambda o: -near[o]))
-        out[name] = Likeness(tuple(rivals), tuple(alike))
-    return out
-
-
-def _nominal_signatures(case: Investigation) -> dict[str, Float]:
-    """Whitened signatures with the weights of the nominal model, which ``nominal_frame`` goes with.
-
-    At the present base other rows may be kept, and a named effect is free there: nothing of its own signature is left.
-    """
-    problem, _ = case.prepared.settled(case.prepared.model)
-    return dict(zip(case.signatures, problem.whitened_each([s.columns for s in case.signatures.values()]), strict=True))
-
-
 def _pairs(case: Investigation, like: Mapping[str, Likeness]) -> list[tuple[Signature, Signature]]:
     """The named effects against what is closest to them, as the nominal model's own weights have it."""
-    frame, white = case.nominal_frame, _nominal_signatures(case)
+    frame, white = case.nominal_frame, nominal_signatures(case)
     klass = {c.name: c.klass for c in case.candidates}
     out = []
     for name, others in like.items():
@@ -255,8 +216,7 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
             found = _of_camera(case, f"{candidate.klass}.{name}", (h.value, h.sigma))
             parameters[name] = NamedParameter(*found, units[name], h.nominal)
         others = like[candidate.name].names
-        alike = {candidate.klass, *others}
-        chance, low, high = beside.table.of_class(*(c.name for c in case.candidates if c.klass in alike))
+        chance, low, high = chance_of(case, candidate, like[candidate.name], beside.table)
         effects.append(
             NamedEffect(
                 candidate.klass,

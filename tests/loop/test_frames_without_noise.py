@@ -13,7 +13,7 @@ from isetval.core.toml import data_folder
 from isetval.effects import catalogue
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
-from isetval.loop.repeats import repeat_gate
+from isetval.loop.repeats import Session, repeat_gate
 from isetval.measure.edge import sfr, sfr_batch
 
 TRUE = {"focus_um@set-up:e": 2.1, "edge_shift_px@set-up:e": 0.9}
@@ -47,7 +47,7 @@ def test_the_true_camera_stands_far_from_focus(focus_um, most, kept_apart):
         (prediction,) = ready.problem.predict([Point(model, TRUE)])
         z = ready.problem.whitened(ready.problem.measured - prediction)
         assert np.mean(z**2) < most
-        gate = repeat_gate(ready)
+        gate = repeat_gate(Session(ready))
         assert not gate["failed"]  # though .5 is below three standard deviations of 70 numbers: contrasts go together
         assert 0.3 < gate["mean_square_z"] < 1.5
 

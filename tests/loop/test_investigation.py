@@ -19,12 +19,13 @@ from isetval.loop.evidence import hypothesis, least_chi2, refit
 from isetval.loop.fit import fit
 from isetval.loop.hold_out import ask_holdout, likely_in_both
 from isetval.loop.investigation import Heard, Investigation, fitted_jointly, weigh_neighbours
+from isetval.loop.likeness import doubtful
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.rebase import _stands, rebase
 from isetval.loop.score_test import make_frame
-from isetval.loop.search import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed
+from isetval.loop.search import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed, _settle
 from isetval.loop.shortlist import _proposals, of_several_classes
 from isetval.loop.signatures import Signature
 from isetval.loop.slopes import slopes
@@ -221,6 +222,18 @@ def test_a_name_that_a_new_base_denies_is_taken_back():
     stand(case, "dark_current", "temporal_row_noise")
     before = {NOTHING, frozenset({"dark_current"}), case.standing.names}
     assert _better(case, quiet, before, first=False).names == {"dark_current"}
+
+
+def test_a_further_name_that_nobody_believes_is_not_stated_when_the_search_is_cut():
+    """Black level was named beside a dark current; with row noise in its place, which no turn fitted, all is explained."""
+    case = case_of(30.0 * np.eye(ROWS)[0] + 10.0 * np.eye(ROWS)[1])
+    stand(case, "dark_current", "black_level")
+    assert doubtful(case) == "black_level"
+    _settle(case, Deadline(900.0), {NOTHING, case.standing.names})
+    assert case.standing.names == {"dark_current"}
+    stand(case, "dark_current", "temporal_row_noise")
+    _settle(case, Deadline(900.0), {NOTHING, case.standing.names})
+    assert case.standing.names == {"dark_current", "temporal_row_noise"}  # both are believed
 
 
 @pytest.mark.parametrize(("here", "there", "likely"), [(2.5, 6.0, True), (2.5, 0.0, False), (0.0, 6.0, False)])

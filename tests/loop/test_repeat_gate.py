@@ -16,7 +16,7 @@ from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
-from isetval.loop.repeats import gate_with, repeat_differences, repeat_gate
+from isetval.loop.repeats import Session, gate_with, repeat_differences, repeat_gate
 
 CHANNELS, BENDS = ("red", "green", "blue"), np.array([1.0, 0.0, -1.0])
 LEVEL, SIGMA, REPLICAS = 1000.0, 0.3, 256
@@ -51,7 +51,7 @@ class ColoredLight:
 
 
 def gate(tilt, apart, noise):
-    return repeat_gate(campaign(tilt, apart, noise))
+    return repeat_gate(Session(campaign(tilt, apart, noise)))
 
 
 def campaign(tilt, apart, noise):
@@ -92,29 +92,57 @@ def test_rows_that_hold_fewer_numbers_than_they_are_have_a_mean_square_of_one(sc
     """Of 90 rows that hold 30 numbers a tenth of the variance is stated as if it were each row's own."""
     rng = np.random.default_rng(3)
     columns = rng.standard_normal((90, 30))
-    n = len(columns)
 
     def differences(k):
         return rng.standard_normal((k, 30)) @ columns.T
 
     true = columns @ columns.T
     stated = 0.9 * true + 0.1 * np.diag(np.diag(true))
-    values = np.hstack([differences(64), np.zeros((64, n))])
+    values = differences(64)
+    squares = [repeat_gate(session_of(stated, values, measured)) for measured in np.sqrt(scatter) * differences(40)]
+    assert np.mean([s["mean_square_z"] for s in squares]) == pytest.approx(scatter, rel=0.1)
+    assert np.mean([s["failed"] for s in squares]) == pytest.approx(float(failed), abs=0.3)
+
+
+def session_of(stated, values, measured):
+    """A session of one repeated flat: what differs between the two scatters as ``values`` (replicas, n) do."""
+    n = measured.size
     nothing = np.zeros((n, n))
     covariance = np.block([[stated, nothing], [nothing, nothing]])
     metrics = [Metric("mean", 0.0, 1.0, "DN", shot=s, channel=str(i), family="flat_mean") for s in "ab" for i in range(n)]
-    base = Base(np.zeros(2 * n), covariance, values, np.ones(2 * n), further=1e9)  # means of replicas are exact
-    squares = []
-    for measured in np.sqrt(scatter) * differences(40):
-        table = SimpleNamespace(metrics=metrics, values=np.concatenate([measured, np.zeros(n)]))
-        problem = SimpleNamespace(keep=np.arange(2 * n), covariance=covariance, base=base)
-        prepared = SimpleNamespace(
-            problem=problem, table=table, campaign=SimpleNamespace(shots=SHOTS), model=None,
-            fit_nuisances=lambda model: SimpleNamespace(free=()),
-        )  # fmt: skip
-        squares.append(repeat_gate(prepared))
-    assert np.mean([s["mean_square_z"] for s in squares]) == pytest.approx(scatter, rel=0.1)
-    assert np.mean([s["failed"] for s in squares]) == pytest.approx(float(failed), abs=0.3)
+    base = Base(np.zeros(2 * n), covariance, np.hstack([values, np.zeros_like(values)]), np.ones(2 * n), further=1e9)
+    table = SimpleNamespace(metrics=metrics, values=np.concatenate([measured, np.zeros(n)]))
+    problem = SimpleNamespace(keep=np.arange(2 * n), covariance=covariance, base=base)
+    prepared = SimpleNamespace(
+        problem=problem, table=table, campaign=SimpleNamespace(shots=SHOTS), model=None,
+        fit_nuisances=lambda model: SimpleNamespace(free=()),
+    )  # fmt: skip
+    return Session(prepared)
+
+
+def test_numbers_of_unequal_scales_spread_as_fewer_do():
+    """Six numbers of variance 5 and sixty of .5 hold 60, whose mean square scatters as that of 22: as of 60, one in 15 fails."""
+    rng = np.random.default_rng(8)
+    scale = np.sqrt(np.repeat([5.0, 0.5], [6, 60]))
+    gates = []
+    for _ in range(200):
+        values, measured = scale * rng.standard_normal((16, 66)), scale * rng.standard_normal(66)
+        gates.append(repeat_gate(session_of(np.eye(66), values, measured)))
+    assert np.mean([g["mean_square_z"] for g in gates]) == pytest.approx(1, abs=0.06)
+    assert np.mean([g["failed"] for g in gates]) < 0.02
+
+
+def test_the_repeats_of_both_sessions_decide_together():
+    """Error bars a fifth too wide (a variance of .64) are seen in eight sessions of 40 numbers, and not in one of them."""
+    rng = np.random.default_rng(9)
+    values = rng.standard_normal((64, 40))
+    sessions = [session_of(np.eye(40), values, 0.8 * rng.standard_normal(40)) for _ in range(8)]
+    each = [repeat_gate(own) for own in sessions]
+    together = repeat_gate(*sessions)
+    assert sum(g["failed"] for g in each) <= 1
+    assert together["n"] == pytest.approx(320, rel=0.1)
+    assert together["failed"]
+    assert repeat_gate(*sessions[:1], session_of(np.eye(40), values, rng.standard_normal(40)))["failed"] is False
 
 
 def test_a_channel_that_is_not_repeated_fails():
@@ -129,15 +157,15 @@ def test_a_gate_that_fails_with_one_camera_is_asked_with_the_error_bars_of_anoth
     """Captures that scatter twice as far as the nominal camera's, and as far as those of the model that was found."""
     noise = 2 * SIGMA * np.array([1.7, -1.4, 1.1, -0.9, 1.5, -1.6])
     prepared = campaign(0.0, 0.0, noise)
-    nominal = repeat_gate(prepared)
+    nominal = repeat_gate(Session(prepared))
     assert nominal["failed"]
     found = replace(prepared.problem, covariance=4 * prepared.problem.covariance)
     fitted = prepared.fit_nuisances(None)
-    gate = gate_with(prepared, nominal, found, fitted)
+    gate = gate_with(nominal, Session(prepared, found, fitted))
     assert not gate["failed"]
     assert gate["nominal_mean_square_z"] == nominal["mean_square_z"]
-    assert gate_with(prepared, nominal, prepared.problem, fitted) == nominal  # no other model, no second opinion
-    worse = gate_with(prepared, gate | {"failed": True}, prepared.problem, fitted)
+    assert gate_with(nominal, Session(prepared, prepared.problem, fitted)) == nominal  # no other model, no second opinion
+    worse = gate_with(gate | {"failed": True}, Session(prepared, prepared.problem, fitted))
     assert worse["nominal_mean_square_z"] == nominal["mean_square_z"]
 
 
