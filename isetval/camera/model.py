@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,11 @@ class CameraModel:
         s = self.sensor
         names = ", ".join(effect.name for effect in self.effects)
         return f"CameraModel({self.name}: {s.rows} x {s.cols} px of {s.pixel_um:g} um, {s.cfa}; {names})"
+
+    @cached_property
+    def needs_previous(self) -> bool:
+        """Whether an effect reads the charge of the frame before; asked of every shot of every difference."""
+        return any(effect.needs_previous for effect in self.effects)
 
     def effect(self, name: str) -> Effect | None:
         """The first effect of that name, or None."""

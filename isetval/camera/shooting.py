@@ -166,7 +166,7 @@ def after_shot_before(
 
     ``shot`` is the plan's where the set-up has it under another name.
     """
-    if not any(effect.needs_previous for effect in camera.effects):
+    if not camera.needs_previous:
         return setup
     before = plan.before(shot or setup.shot)
     if before is None:

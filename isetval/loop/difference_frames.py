@@ -42,7 +42,7 @@ class DifferenceFrames:
     """The frames of differences; ``noise_dn2`` is the temporal variance of each shot's darkest level, as it was measured."""
 
     noise_dn2: Mapping[str, float]
-    _bare: WeakKeyDictionary[CameraModel, tuple[CameraModel, Halves]] = field(default_factory=WeakKeyDictionary)
+    _bare: WeakKeyDictionary[CameraModel, tuple[CameraModel | None, Halves]] = field(default_factory=WeakKeyDictionary)
 
     @classmethod
     def of(cls, table: MetricTable) -> DifferenceFrames:
@@ -73,13 +73,11 @@ class DifferenceFrames:
 
         An edge that moves lies on other pixels, and their unevenness is a noise of its contrasts.
         """
-        patterns = [effect.name for effect in camera.effects if effect.random == "sensor"]
-        if not patterns:
-            return camera, Halves.of(camera)
         if camera not in self._bare:
-            bare = _without(camera, patterns)
-            self._bare[camera] = (bare, Halves.of(bare))
-        return self._bare[camera]
+            bare = _without(camera, [effect.name for effect in camera.effects if effect.random == "sensor"])
+            self._bare[camera] = (None if bare is camera else bare, Halves.of(bare))
+        other, halves = self._bare[camera]
+        return other or camera, halves
 
     def _without_codes(self, camera: CameraModel, halves: Halves) -> tuple[CameraModel, Halves]:
         """A camera without what acts on whole codes as such, and its hashes; itself where nothing does."""

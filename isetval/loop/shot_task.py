@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.camera.chain import FRONT, ShotSetup, mean_electrons
 from isetval.camera.model import CameraModel
-from isetval.core.cache import Remembered, content_hash
+from isetval.core.cache import Remembered, bytes_hash, content_hash
 from isetval.core.capture import Capture
 from isetval.core.context import Mode
 from isetval.core.errors import InputError
@@ -94,7 +94,7 @@ class ShotPart:
     @cached_property
     def key(self) -> str:
         """Equal for two tasks that must give the same numbers."""
-        return content_hash(f"{self.halves.front} {self.setup.digest()} {self._rest}")
+        return bytes_hash(f"{self.halves.front} {self.setup.digest()} {self._rest}".encode())
 
     @property
     def _rest(self) -> str:

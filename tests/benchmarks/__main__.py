@@ -1,9 +1,9 @@
 """The whole speed table: what is asked, what was measured, CPU and wall apart, the load beside it.
 
-    python -m tests.benchmarks [--only dng,measure,sfr,photon,chain,lens,weights] [--files 1000] [-o table.json]
+    python -m tests.benchmarks [--only dng,measure,sfr,photon,chain,lens,weights,loop] [--files 1000] [-o table.json]
 
 Every ratio is of times that were taken in turns within one run, so that a busy machine slows both sides; CPU times still grow by
-some ten percent where others use the caches.  About five minutes on a quiet core.
+some ten percent where others use the caches.  About ten minutes where nobody else is.
 """
 
 import argparse
@@ -18,6 +18,7 @@ import archive_scale
 import block_weights
 import dng_reading
 import lens_diagnosis
+import loop_speed
 import photon_transfer_speed
 import sensor_chain_speed
 import sfr_speed
@@ -37,6 +38,7 @@ PARTS = {
     "chain": lambda args: sensor_chain_speed.rows(),
     "lens": lambda args: lens_diagnosis.rows(),
     "weights": lambda args: block_weights.rows(),
+    "loop": lambda args: loop_speed.rows(),
 }
 
 
