@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -88,51 +89,82 @@ def measure_campaign(
     InputError
         If no shot of the campaign can be measured.
     """
-    notes: list[str] = [*campaign.notes]
-    blocks: list[Block] = []
-    about: list[Block] = []
-    frames: dict[str, Sequence[Capture]] = {}
-    made: dict[str, Any] = {}
-    held = 0
+    found = _Measured(campaign, choices, summaries, patches, notes=[*campaign.notes])
     for i, shot in enumerate(campaign.shots):
-        captures = campaign.captures.read(shot.name)
-        given = _listed(shot, notes, alone=not captures)
-        if given.metrics:
-            blocks.append(given)
-            made[f"{shot.name}/given"] = dict(given.choices)
-        if captures:
-            chosen = choices(shot, captures) if callable(choices) else choices or {}
-            known = _with_patch_options(shot, chosen, patches)
-            for name, block in _analyzed(shot, captures, known, notes):
-                blocks.append(block)
-                if block.choices:
-                    made[f"{shot.name}/{name}"] = dict(block.choices)
-            repeated = _drop_repeated(blocks, given)
-            if repeated:
-                notes += repeated
-                made.pop(f"{shot.name}/given")
-            if summaries:
-                about += shot_summaries(shot, captures, notes, patches=patches)
-            if summaries and wanted(shot) and not shot.levels_only:
-                held += sum(capture.mosaic.size for capture in captures) if held < HELD_PIXELS else 0
-                last = shot is campaign.shots[-1]  # nothing is decoded any more before the summaries look at it
-                frames[shot.name] = captures if held <= HELD_PIXELS or last else campaign.captures.later(shot.name)
-        elif not given.metrics:
-            notes.append(f"shot {shot.name} left out: {_why_none(campaign, shot)}")
-        captures = ()  # let go before the next shot is decoded
+        found.add(shot)
         if progress is not None:
             progress(shot.name, i + 1, len(campaign.shots))
-    if not blocks and not about:
-        raise InputError(
-            f"campaign {campaign.name}: no shot could be measured; first reason: {notes[0] if notes else 'it has no shots'}"
-        )
-    if summaries:
-        more, remarks = session_summaries(campaign, frames)
-        blocks += [*more, *about]
-        notes += remarks
-    notes += [f"file {file} left out: {reason}" for file, reason in campaign.captures.skipped]
-    table = MetricTable(tuple(blocks), choices=made, notes=tuple(notes), settings={"campaign": campaign.name})
-    return table if summaries else table.select(i for i, m in enumerate(table.metrics) if not m.summary)
+    return found.table()
+
+
+@dataclass(eq=False)
+class _Measured:
+    """What was measured of a campaign so far: blocks of metrics, those ``about`` a shot as people quote it, choices ``made``."""
+
+    campaign: Campaign
+    choices: Mapping[str, Any] | ChoicesFor | None
+    summaries: bool
+    patches: Mapping[str, Any] | None
+    notes: list[str]
+    blocks: list[Block] = field(default_factory=list)
+    about: list[Block] = field(default_factory=list)
+    made: dict[str, Any] = field(default_factory=dict)
+    frames: dict[str, Sequence[Capture]] = field(default_factory=dict)
+    held: int = 0
+
+    def add(self, shot: Shot) -> None:
+        """Measure a shot; its captures are let go before the next is decoded."""
+        captures = self.campaign.captures.read(shot.name)
+        given = _listed(shot, self.notes, alone=not captures)
+        if given.metrics:
+            self.blocks.append(given)
+            self.made[f"{shot.name}/given"] = dict(given.choices)
+        if captures:
+            self._analyze(shot, captures, given)
+            if self.summaries:
+                self._summarize(shot, captures)
+        elif not given.metrics:
+            self.notes.append(f"shot {shot.name} left out: {_why_none(self.campaign, shot)}")
+
+    def _analyze(self, shot: Shot, captures: Sequence[Capture], given: Block) -> None:
+        chosen = self.choices(shot, captures) if callable(self.choices) else self.choices or {}
+        known = _with_patch_options(shot, chosen, self.patches)
+        for name, block in _analyzed(shot, captures, known, self.notes):
+            self.blocks.append(block)
+            if block.choices:
+                self.made[f"{shot.name}/{name}"] = dict(block.choices)
+        if repeated := _drop_repeated(self.blocks, given):
+            self.notes += repeated
+            self.made.pop(f"{shot.name}/given")
+
+    def _summarize(self, shot: Shot, captures: Sequence[Capture]) -> None:
+        """What people quote of the shot; its frames are kept for the session's, as many as memory holds."""
+        self.about += shot_summaries(shot, captures, self.notes, patches=self.patches)
+        if not wanted(shot) or shot.levels_only:
+            return
+        self.held += sum(capture.mosaic.size for capture in captures) if self.held < HELD_PIXELS else 0
+        last = shot is self.campaign.shots[-1]  # nothing is decoded any more before the summaries look at it
+        self.frames[shot.name] = captures if self.held <= HELD_PIXELS or last else self.campaign.captures.later(shot.name)
+
+    def table(self) -> MetricTable:
+        """All rows, those of a session among them.
+
+        Raises
+        ------
+        InputError
+            If there are none.
+        """
+        name, notes = self.campaign.name, self.notes
+        if not self.blocks and not self.about:
+            first = notes[0] if notes else "it has no shots"
+            raise InputError(f"campaign {name}: no shot could be measured; first reason: {first}")
+        if self.summaries:
+            more, remarks = session_summaries(self.campaign, self.frames)
+            self.blocks += [*more, *self.about]
+            notes += remarks
+        notes += [f"file {file} left out: {reason}" for file, reason in self.campaign.captures.skipped]
+        table = MetricTable(tuple(self.blocks), choices=self.made, notes=tuple(notes), settings={"campaign": name})
+        return table if self.summaries else table.select(i for i, m in enumerate(table.metrics) if not m.summary)
 
 
 def _with_patch_options(shot: Shot, choices: Mapping[str, Any], patches: Mapping[str, Any] | None) -> Mapping[str, Any]:
