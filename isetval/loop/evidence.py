@@ -112,6 +112,7 @@ def refit(
     *,
     iterations: int = MAX_ITERATIONS,
     beaten: float = -np.inf,
+    by: Hypothesis | None = None,
 ) -> Hypothesis:
     """Fit the parameters of ``members`` together with everything that the laboratory does not know.
 
@@ -129,14 +130,17 @@ def refit(
         Steps of the fit at most; with 0 the hypothesis is linearised where it starts.
     beaten : float
         ln Z that is of use: a fit that stays below it ends where that is clear, and is not refined.
+    by : Hypothesis, optional
+        Of which that is said (default: ``near``): what it costs tells what costs too much.
     """
     free = free_parameters(nuisance_parameters(problem.plan, nominal), members, steps)
     point = _starting_point(nominal, near.fitted.point.values, free, members, start)
     focus = [f for f in free if f.focus]
     point = at_same_focus(problem, point, focus_shifts(problem, near.fitted.point.model, focus), focus)
     # a fit of one cost and another have evidences apart by half of what their costs are; more that is free only takes from that
-    alike = _as_stated(members) == _as_stated(near.members)
-    enough = near.fitted.cost - 2 * (beaten - near.log_evidence) if alike else np.inf
+    by = by or near
+    alike = _as_stated(members) == _as_stated(by.members)
+    enough = by.fitted.cost - 2 * (beaten - by.log_evidence) if alike else np.inf
     fitted = fitted_members(problem, members, point, free, pose=near.fitted.pose, iterations=iterations, beaten=enough)
     found = hypothesis(problem, members, fitted, rough=not iterations)
     gain = found.log_evidence - near.log_evidence

@@ -18,7 +18,7 @@ from isetval.core.effect import ParameterInfo
 from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
 from isetval.loop.candidates import Candidate, Held
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
-from isetval.loop.investigation import BENDS, Investigation
+from isetval.loop.investigation import BENDS, CLEAR, Investigation
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.result import FormRow
@@ -232,7 +232,7 @@ def _fitted(case: Investigation, variant: Candidate, known: Mapping[str, float],
     """A hypothesis with one of its effects in another form, fitted from where its own fit ended.
 
     In steps as long as what is free will be ``known``: of a curve of nine components the data see three, and the steps of the
-    others are as wide as their priors.
+    others are as wide as their priors.  What stays so far behind the best that no hold-out would be asked is of no use.
     """
     members = [variant if m.name == variant.name else m for m in found.members]
     start = {key: float(v) for m in found.effects for key, v in zip(m.keys, m.nominal, strict=True)}
@@ -240,4 +240,6 @@ def _fitted(case: Investigation, variant: Candidate, known: Mapping[str, float],
     effects = [m for m in members if isinstance(m, Candidate)]
     sigma = {key: found.value(key)[1] for m in found.effects for key in m.keys} | dict(known)
     steps = {key: h for m in effects for key, h in first_steps(m, start, sigma).items()}
-    return refit(case.problem, case.prepared.model, found, members, start, steps)
+    best = max(case.known.values(), key=case.score)
+    beaten = case.score(best) - CLEAR - case.log_prior(members)
+    return refit(case.problem, case.prepared.model, found, members, start, steps, beaten=beaten, by=best)
