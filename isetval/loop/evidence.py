@@ -57,12 +57,16 @@ class Hypothesis:
                 value = effect.as_stated(key, value)
         return value, sigma * float(self.wider[[f.label for f in self.fitted.free].index(key)])
 
-    def is_clear(self, key: str) -> bool:
-        """Whether a parameter stands `CLEAR_OF` of its sigmas off its null."""
+    def sigmas_off(self, key: str) -> float:
+        """How many of its sigmas a parameter stands off its null."""
         effect = next(m for m in self.effects if key in m.keys)
         null = effect.parameters[effect.keys.index(key)].null
         value, sigma = self.value(key)
-        return abs(value - null) > CLEAR_OF * sigma
+        return abs(value - null) / sigma
+
+    def is_clear(self, key: str) -> bool:
+        """Whether a parameter stands `CLEAR_OF` of its sigmas off its null."""
+        return self.sigmas_off(key) > CLEAR_OF
 
     @property
     def names(self) -> frozenset[str]:

@@ -137,17 +137,21 @@ def _openings(found: Hypothesis, name: str) -> list[Candidate]:
 
 
 def _with_curve_for_amplitude(found: Hypothesis, curved: Candidate) -> Candidate:
-    """The candidate with its one amplitude held where it was found, where the curve's components say the same and more.
+    """The candidate with its clearest amplitude held where it was found, where the curve's components say the same and more.
 
     A strength and the curve that multiplies it leave a long valley: of a fall-off known to 1 in 500 the exponent moved by a
-    tenth of its prior and the curve back, along derivatives taken over so much of both that they were 15 % off.  The factor by
+    tenth of its prior and the curve back, along derivatives taken over so much of both that they were 15 % off.  Of several
+    strengths under one curve (light that falls along x and with the radius) one sets the scale for all.  The factor by
     which the amplitude's own prior is wider than what was found stays: it is paid in the prior odds.
     """
     labels = [f.label for f in found.fitted.free]
-    amplitudes = [p for p in curved.parameters if not p.shape]
-    if len(amplitudes) != 1 or not found.is_clear(key := f"{curved.klass}.{amplitudes[0].name}"):
+    clear = {p: f"{curved.klass}.{p.name}" for p in curved.parameters if not p.shape}
+    clear = {p: key for p, key in clear.items() if found.is_clear(key)}
+    if not clear:
         return curved
-    (amplitude,), place = amplitudes, labels.index(key)
+    amplitude = max(clear, key=lambda p: found.sigmas_off(clear[p]))
+    key = clear[amplitude]
+    place = labels.index(key)
     parameter = found.fitted.free[place]
     pull = parameter.weight * (found.fitted.values[place] - parameter.center)
     cost = float(np.log(found.weighed.covariance[place, place]) / 2 - pull**2 / 2)

@@ -68,13 +68,27 @@ def test_a_curve_takes_the_place_of_the_amplitude_that_it_multiplies(camera):
     assert curve.prior_weight / shaped.prior_weight == pytest.approx(paid)
 
 
+def test_of_several_amplitudes_under_one_curve_the_clearest_sets_the_scale(camera):
+    """All go with 1 + f of the radius: one of a hundred sigmas is held, one of twenty and one that is not seen stay free."""
+    candidate = next(c for c in candidates_for(camera) if c.name == "light_nonuniformity")
+    assert [p.name for p in candidate.parameters] == ["tilt_x", "tilt_y", "radial"]
+    found = fitted_alone(candidate, (0.01, 0.0001, 0.02), (0.0005, 0.0002, 0.0002))
+    *_, both = _openings(found, "light_nonuniformity")
+    assert [p.name for p in both.parameters][:5] == ["tilt_x", "tilt_y", "saddle", "twist", "free_1"]
+    assert list(both.held) == ["radial"]
+    assert both.effect.radial == 0.02
+    unseen = _openings(fitted_alone(candidate, (0.0001,) * 3, (0.0002,) * 3), "light_nonuniformity")[-1]
+    assert not unseen.held
+
+
 def fitted_alone(candidate, value, sigma):
-    """A candidate with one parameter as a fit found it."""
-    (free,) = candidate.free([0.01])
-    (key,) = candidate.keys
-    fitted = Fit(None, (free,), np.array([value]), np.array([[sigma**2]]), *[np.zeros(0)] * 4, 0.0, 0.0, 1.0, True)
-    weighed = Weighed((), 0.0, np.zeros(1), np.array([[(sigma / free.reach) ** 2]]), np.ones(1))
-    return Hypothesis((candidate,), fitted, 0.0, weighed, {key: value}, np.ones(1))
+    """A candidate with its parameters as a fit found them."""
+    values, sigmas = np.atleast_1d(value).astype(float), np.atleast_1d(sigma).astype(float)
+    free = tuple(candidate.free([0.01] * values.size))
+    fitted = Fit(None, free, values, np.diag(sigmas**2), *[np.zeros(0)] * 4, 0.0, 0.0, 1.0, True)
+    n = values.size
+    weighed = Weighed((), 0.0, np.zeros(n), np.diag((sigmas / [f.reach for f in free]) ** 2), np.ones(n))
+    return Hypothesis((candidate,), fitted, 0.0, weighed, dict(zip(candidate.keys, map(float, values), strict=True)), np.ones(n))
 
 
 def seen_through(model) -> np.ndarray:
