@@ -15,7 +15,7 @@ from isetval.app.report.budget_parts import budget, light_paths
 from isetval.app.report_pictures import comparison_pictures
 from isetval.camera.light_path import light_path
 from isetval.camera.model_file import make_effect
-from isetval.loop.prepared import PLAIN_REPLICAS
+from isetval.loop.prepared import DARK_REPLICAS
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 
@@ -68,7 +68,7 @@ def test_the_budget_adds_up_and_tells_a_wrong_model_from_a_right_one(result):
         assert sum(row[k] for k in ("sampling", "specimen", "simulation", "render", "color", "light")) == pytest.approx(1)
         # R replicas add 1/R of the captures' variance; the flicker stands beside both
         known = 1 - row["light"]
-        few, many = (known / (1 + n) for n in (result["settings"]["replicas"], PLAIN_REPLICAS))
+        few, many = (known / (1 + n) for n in (result["settings"]["replicas"], DARK_REPLICAS))
         if row["family"].startswith("dark") and row["model"] != "pixel4a":  # those that hold for the mended model, too, are kept
             assert many - 1e-9 <= row["simulation"] <= few + 1e-9
         else:
