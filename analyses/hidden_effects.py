@@ -75,7 +75,8 @@ def main(words=None):
 def _options(words):
     parser = argparse.ArgumentParser(description="Score the detective on campaigns of another camera.")
     parser.add_argument("--n", type=int, default=500, help="trials (default: %(default)s)")
-    parser.add_argument("--first", type=int, default=0, help="trials to pass over: those that were looked at already")
+    passed = "trials to pass over, to run or (with --sum-up) to sum up: those that were looked at already"
+    parser.add_argument("--first", type=int, default=0, help=passed)
     parser.add_argument(
         "--plan", choices=("small", "edges", "full"), default="edges", help="shots of a campaign (default: %(default)s)"
     )
@@ -192,7 +193,8 @@ def _sum_up(options):
 
     import isetval
 
-    run = [row | {"expected_s": restated_s(row)} for row in _rows(options.rows)]
+    least = options.first if options.sum_up else 0
+    run = [row | {"expected_s": restated_s(row)} for row in _rows(options.rows) if _number(row) >= least]
     empty = [row["id"] for row in run if row["hidden"] and not row.get("changes_bits", True)]
     rows = [(row, judged(row)) for row in run if row["id"] not in empty]
     if not rows:
@@ -213,6 +215,12 @@ def _sum_up(options):
     for wrong in found["wrong"]:
         print(f"wrong: {wrong['id']} ({wrong['outcome']}): {wrong['why']}")
     print(f"written: {options.report}")
+
+
+def _number(row):
+    """Which of its set a trial is; of one by its effect's name 0."""
+    number = row["id"].rsplit("-", 1)[1]
+    return int(number) if number.isdigit() else 0
 
 
 def _sets(rows):
