@@ -38,8 +38,8 @@ class Hypothesis:
     ``log_evidence`` is ln Z with the weights of the problem it was fitted in, absolute: only differences between
     hypotheses of one problem mean anything.  ``wider`` is by how much more each free parameter of the fit is uncertain than error
     bars say, as the rows of its families scatter.  ``values`` are the members' parameters: those of the fit, or the linear ones
-    where the fit found less than half of what they promise.  That happens to effects that are a draw of the specimen: with
-    the weights of a camera without hot pixels nothing but the very same pixels would fit.
+    where the fit found less than half of what they promise (``is_promised``).  That happens to effects that are a draw of the
+    specimen: with the weights of a camera without hot pixels nothing but the very same pixels would fit.
     """
 
     members: tuple[Member, ...]
@@ -48,6 +48,7 @@ class Hypothesis:
     weighed: Weighed
     values: Mapping[str, float]
     wider: Float
+    is_promised: bool = False
 
     def value(self, key: str) -> tuple[float, float]:
         """Fitted value and standard deviation of a parameter, as the rows of each family scatter (``wider`` than stated)."""
@@ -151,7 +152,7 @@ def refit(
     if promised is None or gain > WORTH * (promised - near.log_evidence):
         return found
     values = {key: start[key] for m in members for key in m.keys}
-    return replace(found, log_evidence=promised, values=values)
+    return replace(found, log_evidence=promised, values=values, is_promised=True)
 
 
 def fitted_members(

@@ -40,7 +40,9 @@ def with_unknown(case: Investigation, *, ask_holdout: bool = True) -> Beside:
     """The sum of an investigation with something unknown beside every hypothesis that was fitted, and in place of its effects.
 
     What the hold-out says of the unknown is asked of the hypothesis that stands, and holds for all of them: as with what it
-    says of hypotheses (`Investigation.told`).
+    says of hypotheses (`Investigation.told`).  What has the evidence that derivatives promise, since its fit found nothing, is
+    taken to leave what the standing one does: the misfit is the failed fit's own (hits of particles, which no pixel of a right
+    camera answered, had a stranger beside them that would explain it).
     """
     here = patterns_of(case.problem)
     there = _held_out(case) if ask_holdout else {}
@@ -52,8 +54,10 @@ def with_unknown(case: Investigation, *, ask_holdout: bool = True) -> Beside:
     for names, found in case.known.items():
         if names not in logs:
             continue
-        beside = unknown if names == case.standing.names else Unknown.of(_left(case.problem, found.fitted, here), {})
-        more = 0.0 if beside is unknown else told
+        is_own = names == case.standing.names
+        left = stands if found.is_promised else _left(case.problem, found.fitted, here)
+        beside = unknown if is_own else Unknown.of(left, {})
+        more = 0.0 if is_own else told
         logs[names] = case.score(found)  # with what the hold-out said since the sum was made
         base = logs[names] + float(np.log(ODDS_OF_UNKNOWN)) + more
         logs[names | {UNKNOWN}] = base + beside.log_evidence()

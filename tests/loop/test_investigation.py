@@ -31,6 +31,7 @@ from isetval.loop.signatures import Signature
 from isetval.loop.slopes import slopes
 from isetval.loop.steps import first_steps
 from isetval.loop.telling import Deadline
+from isetval.loop.unknown_members import with_unknown
 from isetval.loop.verdict import stopped_account
 
 ROWS = 6
@@ -208,6 +209,17 @@ def test_an_effect_keeps_its_name_beside_a_family_that_nothing_explains():
     assert better.value("dark_current.rate_e_per_s")[0] == pytest.approx(
         case.prepared.model.value("dark_current.rate_e_per_s") + 200 * UNIT, rel=0.01
     )
+
+
+@pytest.mark.parametrize("is_promised", [True, False])
+def test_a_misfit_of_a_failed_fit_is_nothing_unknown(is_promised):
+    """A draw of the specimen that no row answers: its fit ends eight sigmas off, and has what its derivatives promise."""
+    case = case_of(np.zeros(ROWS))
+    found, more = fitted_jointly(case, frozenset({"dark_current"})), case.standing.log_evidence + 2
+    astray = replace(found.fitted, z=8 * np.eye(ROWS)[-1])
+    case.known[found.names] = replace(found, fitted=astray, log_evidence=more, is_promised=is_promised)
+    weigh_neighbours(case)
+    assert (with_unknown(case).table.unknown < 0.3) is is_promised  # of one that was fitted something unknown is left
 
 
 def test_a_member_that_is_not_needed_is_taken_out():

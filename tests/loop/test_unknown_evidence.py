@@ -99,12 +99,15 @@ def investigated(monkeypatch):
         own = term("k", column, tau)
         named = model(z, [], tau * column[:, None], dof=SURE_SCALES)
         hypotheses = {
-            frozenset(): SimpleNamespace(names=frozenset(), effects=(), fitted=nothing, score=weigh(nothing, ()).log_evidence),
+            frozenset(): SimpleNamespace(
+                names=frozenset(), effects=(), fitted=nothing, score=weigh(nothing, ()).log_evidence, is_promised=False
+            ),
             frozenset({"k"}): SimpleNamespace(
                 names=frozenset({"k"}),
                 effects=(own,),
                 fitted=named,
                 score=weigh(named, ()).log_evidence - np.log(classes),
+                is_promised=False,
             ),
         }
         standing = hypotheses[frozenset({"k"})]
