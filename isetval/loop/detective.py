@@ -13,6 +13,7 @@ from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values
+from isetval.loop.forms import something_left
 from isetval.loop.investigation import Investigation, named_model, weigh_neighbours
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
@@ -25,6 +26,7 @@ from isetval.loop.score_test import Frame, Score, make_frame, score
 from isetval.loop.search import search
 from isetval.loop.shortlist import unfitted
 from isetval.loop.signatures import Signature, signatures
+from isetval.loop.stair_scores import lowest_stairs
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
 from isetval.loop.verdict import ALPHA, account_of, stopped_account
 
@@ -155,6 +157,9 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     case.unobservable = tuple(c.name for c in wanted if not scores[c.name].shows(c.tau))
     tests = len(wanted) - len(case.unobservable)
     case.rows = [_row(c, scores[c.name], tests, c.name not in case.unobservable) for c in wanted]
+    if something_left(case, nothing):
+        stairs = lowest_stairs(problem, Point(model, far_values(fitted)), frame, made, scores)
+        case.rows = [_on_lowest_stair(row, *stairs.get(row.name, (0.0, 0)), tests) for row in case.rows]
     weigh_neighbours(case)
     _tell_evidence(case)
     return case
@@ -179,6 +184,15 @@ def _row(candidate: Candidate, found: Score, tests: int, observable: bool) -> Ca
     p_corrected = min(1.0, found.p_value * tests)
     smallest = smallest_detectable(found)
     return CandidateRow(candidate.name, found.dchi2, found.rank, p_corrected, None, None, estimate, smallest, observable)
+
+
+def _on_lowest_stair(row: CandidateRow, chi2: float, looks: int, tests: int) -> CandidateRow:
+    """The row with the chi2 that its effect takes on its lowest stair, where that is more than its derivative says."""
+    if chi2 <= row.dchi2:
+        return row
+    from scipy.special import chdtrc
+
+    return replace(row, dchi2=chi2, p_corrected=min(1.0, float(chdtrc(1, chi2)) * looks * tests))
 
 
 def _tell_evidence(case: Investigation) -> None:

@@ -22,8 +22,9 @@ from isetval.loop.investigation import Investigation, fitted_jointly, weigh_neig
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
-from isetval.loop.score_test import make_frame
+from isetval.loop.score_test import make_frame, score
 from isetval.loop.signatures import code_steps, signatures
+from isetval.loop.stair_scores import lowest_stairs
 
 KEY = "digital_gain.gain"
 LEVELS = np.array([60.0, 150.0, 340.0, 623.0])
@@ -139,3 +140,26 @@ def test_treads_of_a_converter_are_looked_over():
 
     np.testing.assert_array_equal(codes(2.0), codes(end - 1e-3))
     assert np.any(codes(2.0) != codes(end + 1e-3))
+
+
+@pytest.mark.parametrize("gain", [0.0017, 0.0021, -0.0018])
+def test_the_score_of_a_gain_is_that_of_its_lowest_stair(gain):
+    """Two of four levels moved by a code, ten sigmas each: a straight slope says less of them than the stair takes."""
+    model, problem, signature = asked(codes(gain))
+    frame = make_frame(fit(problem, problem.origin, ()))
+    (white,) = problem.whitened_each([signature.columns])
+    linear = score(frame, white)
+    found = lowest_stairs(problem, Point(model), frame, [signature], {"digital_gain": linear})
+    whole = float(np.sum((codes(gain) - codes(0.0)) ** 2)) / SIGMA_DN**2
+    chi2, looks = found["digital_gain"]
+    assert looks == 8
+    assert chi2 == pytest.approx(whole)
+    assert linear.dchi2 < 0.9 * whole
+
+
+def test_an_effect_that_nothing_shows_takes_nothing_on_any_stair():
+    model, problem, signature = asked(codes(0.0))
+    frame = make_frame(fit(problem, problem.origin, ()))
+    (white,) = problem.whitened_each([signature.columns])
+    chi2, _ = lowest_stairs(problem, Point(model), frame, [signature], {"digital_gain": score(frame, white)})["digital_gain"]
+    assert chi2 <= 0.0
