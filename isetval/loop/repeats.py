@@ -48,8 +48,10 @@ class _Repeated:
     known: int
 
 
-def repeat_gate(*sessions: Session) -> dict[str, Any]:
-    """Whether repeated set-ups agree within the error bars, those of all sessions together.
+def repeat_gate(used: Session, *others: Session) -> dict[str, Any]:
+    """Whether repeated set-ups agree within the error bars; where those ``used`` do not, whether those of all sessions do.
+
+    Some sixty numbers scatter too far or too little by chance now and then; those of a second session tell.
 
     z of the difference of a shot and the one it repeats, weighted with the sampling covariance and the set-up scope priors of
     both; their mean square, over what it is where captures scatter as the replicas do (ten contrasts of an edge hold five
@@ -62,9 +64,15 @@ def repeat_gate(*sessions: Session) -> dict[str, Any]:
         ``run`` (False without repeats), ``failed``, ``mean_square_z``, ``n`` (how many numbers the repeated rows hold),
         ``allowed`` (by how much more than 1 it may be).
     """
-    found = [own for own in (_repeated(session) for session in sessions) if own is not None]
-    if not found:
+    first = _repeated(used)
+    if first is None:
         return {"run": False, "failed": False, "mean_square_z": None, "n": 0, "allowed": None}
+    alone = _judged([first])
+    more = [own for own in map(_repeated, others) if own is not None] if alone["failed"] else []
+    return _judged([first, *more]) if more else alone
+
+
+def _judged(found: Sequence[_Repeated]) -> dict[str, Any]:
     from scipy.special import fdtri, ndtr  # as of scipy.stats, whose import takes .4 s
 
     numbers = sum(own.numbers for own in found)
