@@ -23,16 +23,13 @@ SHORT_LIST = 5  # hypotheses refitted in full at one base: a bound on cost, each
 LONG_LIST = 12
 BEND = 0.3  # relative size of what a right signature leaves by bending; its square is the share of chi2.  Far beyond the noise ln
 # Z grows with the logarithm of chi2 only and cannot be asked (a black level of 140 sigma left 3 % of a chi2 of 20,000)
-SHOWS = 4.0  # of chi2 for each parameter, two sigmas: of what rounds codes anew, six of ninety effects, one in four campaigns has
-# one that shows so by chance
 RANKED = 20  # subsets looked at for what to fit: those after them hold less than one in a hundred
 
 
 def fit_likely(case: Investigation, say: Say, seen: Collection[Names], *, first: bool, far: bool) -> None:
     """Fit the hypotheses that carry the sum in full: first single effects, which the rest is then weighed about.
 
-    Where nothing promises what is left (``far``), what rounds codes anew comes first, and nothing is fitted any more once one is
-    found that is clear.
+    Where nothing promises what is left (``far``), nothing is fitted any more once one is found that is clear.
 
     Other forms of each are asked for when all were fitted, the best first: of what lies far behind, all in the catalogue's forms,
     none is.  A knee between two of the catalogue's loses to a free curve of a bent response by 330 until its own place is free.
@@ -42,7 +39,6 @@ def fit_likely(case: Investigation, say: Say, seen: Collection[Names], *, first:
     wanted = [names for names in proposed if names not in seen or names < case.standing.names]
     many = first or (far and not case.standing.names)
     listed = of_several_classes(case, wanted)[: LONG_LIST if many else SHORT_LIST]
-    listed = list(dict.fromkeys([*(_stairs_that_show(case, wanted) if far else ()), *listed]))
     before = max(map(case.score, case.known.values()))
     # asked one by one: what is worth a fit hangs on the fits before it, of which those of draws take longest
     worth = (
@@ -126,23 +122,6 @@ def _is_drawn(case: Investigation, names: Names) -> bool:
 def _is_clear_of(case: Investigation, before: float) -> bool:
     """Whether something was fitted that is a million times as probable as the best ``before``."""
     return max(map(case.score, case.known.values())) - before > CLEAR
-
-
-def _stairs_that_show(case: Investigation, wanted: Sequence[Names]) -> list[Names]:
-    """Of sets that add an effect that rounds codes anew and shows at all one of each class, beside what stands or in its place.
-
-    A stair's derivatives are means over its steps: of levels of a hundred codes a map of gains in the file had 8 of chi2 by them,
-    and took 540 when it was fitted.
-    """
-    shows = {row.name: row.dchi2 for row in case.rows if row.dchi2 > SHOWS * row.dof}
-
-    def added(names: Names) -> float:
-        new = [case.member(name) for name in names - case.standing.names]
-        return max((shows.get(m.name, 0.0) for m in new if isinstance(m, Candidate) and m.effect.whole_codes), default=0.0)
-
-    found = sorted((names for names in wanted if added(names)), key=added, reverse=True)
-    first = {_classes(map(case.member, names)): names for names in reversed(found)}
-    return [names for names in found if names in first.values()]
 
 
 def _worth_a_fit(case: Investigation, names: Names) -> bool:

@@ -24,10 +24,9 @@ from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.rebase import _stands, rebase
-from isetval.loop.result import CandidateRow
 from isetval.loop.score_test import make_frame
 from isetval.loop.search import CLEAR, ODDS, _better, _heard_of, _is_against_priors, _needed, _settle
-from isetval.loop.shortlist import _proposals, _stairs_that_show, of_several_classes
+from isetval.loop.shortlist import _proposals, of_several_classes
 from isetval.loop.signatures import Signature
 from isetval.loop.slopes import slopes
 from isetval.loop.steps import first_steps
@@ -135,22 +134,6 @@ def test_forms_of_one_class_leave_room_for_others(case):
     other, pair = frozenset({"black_level"}), frozenset({"black_level", periods[0].name})
     assert len(names) == 4
     assert of_several_classes(case, [*names, other, pair]) == [*names[:2], other, pair]
-
-
-def test_what_rounds_codes_anew_and_shows_at_all_is_fitted_where_nothing_promises_what_is_left(case):
-    """Beside what stands and in its place, in one form each; what does not show is not asked for, nor what rounds nothing."""
-    found = {c.name: c for c in candidates_for(case.prepared.model)}
-    maps = [c for c in found.values() if c.klass == "gain_map_applied"]
-    table = found["linearization_table"]
-    assert len(maps) == 2
-    assert all(c.effect.whole_codes for c in (*maps, table))
-    stand(case, "dark_current")
-    case.candidates = (*case.candidates, *maps, table)
-    chi2 = {maps[0].name: 5.0, maps[1].name: 8.0, table.name: 3.0, "black_level": 50.0}
-    case.rows = [CandidateRow(name, size, 1, 1.0, None, None, {}, None, True) for name, size in chi2.items()]
-    alone, beside = [{frozenset({*more, name}) for name in chi2} for more in ((), ("dark_current",))]
-    shown = _stairs_that_show(case, [*alone, *beside])
-    assert set(shown) == {frozenset({maps[1].name}), frozenset({"dark_current", maps[1].name})}
 
 
 def test_the_true_pair_replaces_the_effect_that_answered_for_both(case):
