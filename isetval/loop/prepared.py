@@ -34,8 +34,8 @@ PLAIN_REPLICAS = 64
 was 11 %, the same in every diagnosis of a plan: fresh captures of the very model stood at 1.29 in one family of 18.  Edges and
 charts cost ten times as much."""
 DARK_REPLICAS = 128
-"""Of darks, which are few and cheap beside all else: with 64, the columns of five of them stood at 1.12 in 286 sessions of right
-cameras, whose error bars were known to 4 % by one draw of replicas."""
+"""Of darks, which are few and cheap beside all else: with 64, the columns of five of them stood at 1.11 in 306 sessions of right
+cameras, mostly of that many: one draw of replicas knows their error bars to 4 %."""
 MAX_PLACES = 4  # places at which weights are made for one fit: a bound on cost, the second is the last where focus moved
 
 
