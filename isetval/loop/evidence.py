@@ -59,11 +59,12 @@ class Hypothesis:
         return value, sigma * float(self.wider[[f.label for f in self.fitted.free].index(key)])
 
     def sigmas_off(self, key: str) -> float:
-        """How many of its sigmas a parameter stands off its null."""
+        """How many of its sigmas a parameter stands off its null; infinitely many where it is off and has none."""
         effect = next(m for m in self.effects if key in m.keys)
         null = effect.parameters[effect.keys.index(key)].null
         value, sigma = self.value(key)
-        return abs(value - null) / sigma
+        off = abs(value - null)
+        return off / sigma if sigma else (np.inf if off else 0.0)
 
     def is_clear(self, key: str) -> bool:
         """Whether a parameter stands `CLEAR_OF` of its sigmas off its null."""

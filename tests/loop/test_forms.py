@@ -77,6 +77,8 @@ def test_of_several_amplitudes_under_one_curve_the_clearest_sets_the_scale(camer
     assert [p.name for p in both.parameters][:5] == ["tilt_x", "tilt_y", "saddle", "twist", "free_1"]
     assert list(both.held) == ["radial"]
     assert both.effect.radial == 0.02
+    key = "light_nonuniformity.tilt_x"
+    assert [fitted_alone(candidate, (v, 0, 0), (0, 1, 1)).is_clear(key) for v in (0.0, 0.01)] == [False, True]  # no sigma at all
     unseen = _openings(fitted_alone(candidate, (0.0001,) * 3, (0.0002,) * 3), "light_nonuniformity")[-1]
     assert not unseen.held
 
