@@ -8,7 +8,7 @@ light or electronics a parameter changes are simulated again.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -34,6 +34,7 @@ from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part,
 from isetval.loop.stand_ins import of_shot, renamed, stand_ins
 from isetval.loop.task_runner import Call, Runner
 from isetval.loop.telling import Counted
+from isetval.measure.works import Work
 
 Float = NDArray[np.float64]
 REPLICAS = 16  # the mean of so many adds 1/16 to the variance of a difference, 3 % to its sigma
@@ -160,6 +161,10 @@ class Predictor:
     def over_workers(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
         """Places of calls and what they gave, done by the workers of this predictor."""
         return self._runner.results(calls)
+
+    def in_turn(self, works: Iterable[Work]) -> Iterator[Any]:
+        """What functions give for their arguments, in their order, by workers that have begun (`isetval.loop.task_runner`)."""
+        return self._runner.in_turn(works)
 
     def close(self) -> None:
         """Stop the workers; keep what was simulated for the next time."""

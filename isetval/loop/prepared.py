@@ -19,7 +19,7 @@ from isetval.core.metric import MetricTable
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import FAR, Fit, far_values, fit, moved_far, told_here
 from isetval.loop.given_side import given_rows
-from isetval.loop.nominal import nominal_of
+from isetval.loop.nominal import Nominal, nominal_of
 from isetval.loop.prediction import DERIVATIVE_SEEDS, REPLICAS, Point, Predictor
 from isetval.loop.problem import Problem
 from isetval.loop.task_runner import Runner
@@ -178,8 +178,9 @@ def prepare(
         nominal = nominal_of(model, campaign, runner)
         table = table or measure_campaign(
             campaign,
-            choices=nominal.that_hold,
+            choices=Nominal(nominal.choices).that_hold,
             summaries=False,
+            over=runner.in_turn,
             progress=lambda _, done, total: say.counted(done, total),
         )
         campaign = _without_broken(campaign)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from isetval.core.engine import Cluster
 from isetval.core.threads import one_blas_thread
 from isetval.core.workers import single_worker
 from isetval.loop.telling import Counted
+from isetval.measure.works import Work, done_here
 
 IN_FLIGHT = 2  # of a worker: one that it does and one that waits beside it
 TOO_FEW = 4  # calls that are done sooner than workers start
@@ -109,6 +110,29 @@ class Runner:
             done += calls[i].size
             if self.progress is not None:
                 self.progress(done, total)
+
+    def in_turn(self, works: Iterable[Work]) -> Iterator[Any]:
+        """What functions give for their arguments, in the order of works, which are taken as there is room.
+
+        By workers of this machine that have begun already: starting them takes as long as measuring a campaign.
+        """
+        pools = self._workers.pools if self._workers is not None else ()
+        if not pools:
+            yield from done_here(works)
+            return
+        flying: deque[tuple[Future[Any], int]] = deque()
+        try:
+            for function, arguments in works:
+                busy = [sum(own == i and not future.done() for future, own in flying) for i in range(len(pools))]
+                least = busy.index(min(busy))
+                flying.append((pools[least].submit(_done, function, arguments), least))
+                if len(flying) > IN_FLIGHT * len(pools):
+                    yield flying.popleft()[0].result()
+            while flying:
+                yield flying.popleft()[0].result()
+        finally:
+            for future, _ in flying:  # whoever asked stopped, or a work failed
+                future.cancel()
 
     def _here(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
         for i, call in enumerate(calls):

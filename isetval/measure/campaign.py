@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -19,6 +20,7 @@ from isetval.core.sensor import Roi
 from isetval.measure.given import given_block, same_rows
 from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
+from isetval.measure.works import InTurn, Work, as_it_is, done_here, may_be_sent
 
 Progress = Callable[[str, int, int], None]
 ChoicesFor = Callable[[Shot, Sequence[Capture]], Mapping[str, Any]]
@@ -59,6 +61,7 @@ def measure_campaign(
     progress: Progress | None = None,
     summaries: bool = True,
     patches: Mapping[str, Any] | None = None,
+    over: InTurn | None = None,
 ) -> MetricTable:
     """Measure every shot of a campaign.
 
@@ -77,6 +80,9 @@ def measure_campaign(
     patches : mapping, optional
         Arguments of `uniform_patches` for charts and scenes, for instance ``size``; with ``method="lyu2022"`` and
         ``gain_dn_per_e`` the noise that the published rule accepts is added to the summaries.
+    over : callable, optional
+        Who does the analyses of the shots, ``over(works)``: workers that are there anyway.  Files are read here, a few shots
+        ahead of them.
 
     Returns
     -------
@@ -90,8 +96,8 @@ def measure_campaign(
         If no shot of the campaign can be measured.
     """
     found = _Measured(campaign, choices, summaries, patches, notes=[*campaign.notes])
-    for i, shot in enumerate(campaign.shots):
-        found.add(shot)
+    for i, analyzed in enumerate((over or done_here)(found.works())):
+        shot = found.take(analyzed)
         if progress is not None:
             progress(shot.name, i + 1, len(campaign.shots))
     return found.table()
@@ -111,25 +117,36 @@ class _Measured:
     made: dict[str, Any] = field(default_factory=dict)
     frames: dict[str, Sequence[Capture]] = field(default_factory=dict)
     held: int = 0
+    begun: deque[tuple[Shot, Sequence[Capture]]] = field(default_factory=deque)
 
-    def add(self, shot: Shot) -> None:
-        """Measure a shot; its captures are let go before the next is decoded."""
-        captures = self.campaign.captures.read(shot.name)
+    def works(self) -> Iterator[Work]:
+        """The analyses of each shot; its captures are let go before the next is decoded, where nobody does several at a time."""
+        for shot in self.campaign.shots:
+            captures = self.campaign.captures.read(shot.name)
+            self.begun.append((shot, captures))
+            asked = (shot, captures, self.choices, self.patches)
+            yield (analyzed_shot, asked) if may_be_sent(captures) else (as_it_is, (analyzed_shot(*asked),))
+            del captures, asked
+
+    def take(self, analyzed: Analyzed) -> Shot:
+        """Add what was found of the shot that was begun first."""
+        shot, captures = self.begun.popleft()
         given = _listed(shot, self.notes, alone=not captures)
         if given.metrics:
             self.blocks.append(given)
             self.made[f"{shot.name}/given"] = dict(given.choices)
         if captures:
-            self._analyze(shot, captures, given)
+            self._add(shot, analyzed, given)
             if self.summaries:
                 self._summarize(shot, captures)
         elif not given.metrics:
             self.notes.append(f"shot {shot.name} left out: {_why_none(self.campaign, shot)}")
+        return shot
 
-    def _analyze(self, shot: Shot, captures: Sequence[Capture], given: Block) -> None:
-        chosen = self.choices(shot, captures) if callable(self.choices) else self.choices or {}
-        known = _with_patch_options(shot, chosen, self.patches)
-        for name, block in _analyzed(shot, captures, known, self.notes):
+    def _add(self, shot: Shot, analyzed: Analyzed, given: Block) -> None:
+        found, remarks = analyzed
+        self.notes += remarks
+        for name, block in found:
             self.blocks.append(block)
             if block.choices:
                 self.made[f"{shot.name}/{name}"] = dict(block.choices)
@@ -165,6 +182,24 @@ class _Measured:
         notes += [f"file {file} left out: {reason}" for file, reason in self.campaign.captures.skipped]
         table = MetricTable(tuple(self.blocks), choices=self.made, notes=tuple(notes), settings={"campaign": name})
         return table if self.summaries else table.select(i for i, m in enumerate(table.metrics) if not m.summary)
+
+
+Analyzed = tuple[list[tuple[str, Block]], list[str]]
+"""Blocks of a shot by the names of their analyses, and remarks on what could not be measured."""
+
+
+def analyzed_shot(
+    shot: Shot,
+    captures: Sequence[Capture],
+    choices: Mapping[str, Any] | ChoicesFor | None,
+    patches: Mapping[str, Any] | None,
+) -> Analyzed:
+    """What all analyses of a shot find; nothing of one without captures."""
+    if not captures:
+        return [], []
+    chosen = choices(shot, captures) if callable(choices) else choices or {}
+    notes: list[str] = []
+    return list(_analyzed(shot, captures, _with_patch_options(shot, chosen, patches), notes)), notes
 
 
 def _with_patch_options(shot: Shot, choices: Mapping[str, Any], patches: Mapping[str, Any] | None) -> Mapping[str, Any]:

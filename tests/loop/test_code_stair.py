@@ -32,18 +32,26 @@ SIGMA_DN = 0.1
 
 
 class Codes:
-    """Mean codes of four levels that are multiplied and rounded anew: without noise enough to smear them, a stair each."""
+    """Mean codes of four levels that are multiplied and rounded anew: without noise enough to smear them, a stair each.
+
+    Each is a shot of its own; of which ``asked_for`` tells.
+    """
 
     def __init__(self):
         self.plan = Campaign("plan", ())
-        self.table = SimpleNamespace(metrics=[Metric("mean", 0.0, 1.0, "DN", family="flat_mean")] * LEVELS.size)
+        metrics = [Metric("mean", 0.0, 1.0, "DN", family="flat_mean", shot=f"level{i}") for i in range(LEVELS.size)]
+        self.table = SimpleNamespace(metrics=metrics)
+        self.noise_free = np.zeros(LEVELS.size, bool)
+        self.asked_for = []
 
     def small_shots(self, point):
         return frozenset()
 
     def derivative_vectors(self, points, seeds, of_noise=False, only=None):
+        self.asked_for.append(only)
         gains = [p.model.value(KEY) if p.model.effect("digital_gain") is not None else 0.0 for p in points]
-        return [codes(gain) for gain in gains]
+        there = [only is None or m.shot in only for m in self.table.metrics]
+        return [np.where(there, codes(gain), np.nan) for gain in gains]
 
 
 def codes(gain):
@@ -155,6 +163,25 @@ def test_the_score_of_a_gain_is_that_of_its_lowest_stair(gain):
     assert looks == 8
     assert chi2 == pytest.approx(whole)
     assert linear.dchi2 < 0.9 * whole
+
+
+def test_what_is_measured_without_noise_has_no_stair():
+    """Of an edge, whose differences are taken before rounding, the derivative says all, and it is not simulated again."""
+    model, problem, signature = asked(codes(0.0021))
+    problem.predictor.noise_free[-1] = True
+    frame = make_frame(fit(problem, problem.origin, ()))
+    (white,) = problem.whitened_each([signature.columns])
+    found = lowest_stairs(problem, Point(model), frame, [signature], {"digital_gain": score(frame, white)})
+    assert problem.predictor.asked_for[-1] == {"level0", "level1", "level2"}
+    left, moved = codes(0.0021) - codes(0.0), signature.columns[-1, 0]
+    width = signature.candidate.code_steps[KEY] / 2
+    step = width * np.arange(
+        round(score(frame, white).estimate[0] / width) - 4, round(score(frame, white).estimate[0] / width) + 5
+    )
+    stairs = np.array([codes(h) - codes(0.0) for h in step])
+    stairs[:, -1] = step * moved
+    chi2 = (left @ left - np.sum((left - stairs) ** 2, axis=1)) / SIGMA_DN**2
+    assert found["digital_gain"][0] == pytest.approx(chi2[step != 0].max())
 
 
 def test_an_effect_that_nothing_shows_takes_nothing_on_any_stair():

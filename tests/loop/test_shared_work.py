@@ -1,5 +1,6 @@
 """What a diagnosis does once: workers, equal frames, replicas that hold, common random numbers."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from isetval import simulate
 from isetval.core.campaign import Campaign, Light, Shot
+from isetval.core.captures import MemoryCaptures
 from isetval.core.context import Context
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
@@ -14,7 +16,7 @@ from isetval.effects import catalogue
 from isetval.loop import shot_task
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.prepared import prepare
-from isetval.loop.task_runner import Call, Runner
+from isetval.loop.task_runner import IN_FLIGHT, Call, Runner
 from isetval.loop.weighing import HOLDS, make_problem
 from isetval.measure.campaign import measure_campaign
 from isetval.measure.noise.code_density import LEAST_CODES, LEAST_COUNTS, code_widths
@@ -44,6 +46,51 @@ def number(of):
     import os
 
     return os.getpid(), of
+
+
+def test_works_are_done_in_turn_by_workers_that_have_begun():
+    """Their results come in order, and no more works are taken than are waited for."""
+    runner = Runner(2)
+    here, _ = number(0)
+    try:
+        assert [pid for pid, _ in runner.in_turn((number, (i,)) for i in range(3))] == [here] * 3
+        dict(runner.results([Call(number, (i,), i) for i in range(6)]))
+        taken = []
+
+        def works():
+            for i in range(20):
+                taken.append(i)
+                yield number, (i,)
+
+        found = runner.in_turn(works())
+        first = next(found)
+        assert len(taken) <= 2 * IN_FLIGHT + 1
+        done = [first, *found]
+    finally:
+        runner.close()
+    assert [i for _, i in done] == list(range(20))
+    assert here not in {pid for pid, _ in done}
+    assert len({pid for pid, _ in done}) == 2
+
+
+def test_a_campaign_is_the_same_measured_by_workers(model, plan):
+    """Long series stay where they are read: what is sent to workers is held several times."""
+    campaign = replace(simulate(model, plan, seed=3), notes=("a remark",))
+    taken = []
+
+    def over(works):
+        for function, arguments in works:
+            taken.append(function.__name__)
+            yield pickle.loads(pickle.dumps(function(*pickle.loads(pickle.dumps(arguments)))))
+
+    wanted = measure_campaign(campaign)
+    long = dict(campaign.captures, long=list(campaign.captures["long"]))
+    found = measure_campaign(replace(campaign, captures=MemoryCaptures(long)), over=over)
+    assert taken == ["as_it_is", "analyzed_shot", "analyzed_shot", "analyzed_shot"]
+    assert [m.key() for m in found.metrics] == [m.key() for m in wanted.metrics]
+    assert [m.value for m in found.metrics] == [m.value for m in wanted.metrics]
+    assert found.choices == wanted.choices
+    assert found.notes == wanted.notes
 
 
 def test_two_runners_share_their_workers_until_the_last_one_closes():
