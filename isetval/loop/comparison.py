@@ -115,7 +115,7 @@ def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Floa
         return 1.0
     unseen = problem.unseen[rows[own]]
     unseen = unseen[:, np.any(unseen, axis=0)]
-    expected = expected_mean_square(problem.base.values[:, rows[own]], covariance[np.ix_(own, own)], unseen)
+    expected = expected_mean_square(problem.simulated(rows[own]), covariance[np.ix_(own, own)], unseen)
     return float(np.average([expected, 1.0], weights=[own.sum(), (~own).sum()]))
 
 

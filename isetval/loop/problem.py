@@ -98,6 +98,18 @@ class Problem:
         """Families of the kept rows, as the whitening leaves them: it is triangular."""
         return Families.of([self.predictor.table.metrics[i].family for i in self.keep], self.numbers)
 
+    def simulated(self, rows: NDArray[np.intp]) -> Float:
+        """Values of some rows in simulated campaigns, (replicas, rows): in as many as all of their shots have, darks in more."""
+        shots = {self.predictor.table.metrics[i].shot for i in rows}
+        if not shots <= self.base.samples.keys():
+            return self.base.values[:, rows]
+        values = {shot: self.base.samples[shot].values for shot in shots}
+        count = min(map(len, values.values()))
+        every = np.full((count, len(self.measured)), np.nan)
+        for shot, own in values.items():
+            every[:, self.predictor.rows[shot]] = own[:count]
+        return every[:, rows]
+
     @cached_property
     def means(self) -> NDArray[np.bool_]:
         """Rows (metrics,) that are mean levels of flats."""

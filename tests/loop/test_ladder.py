@@ -71,3 +71,14 @@ def test_counts_that_no_replica_has_seen_keep_their_error_bars():
     table = MetricTable((Block(tuple(metrics)),))
     problem = SimpleNamespace(predictor=SimpleNamespace(table=table), base=SimpleNamespace(values=np.full((64, 8), 1.22)))
     assert _true_mean_square(problem, np.arange(8), np.eye(8)) == 1.0
+
+
+def test_a_mean_square_is_told_in_what_all_simulated_campaigns_of_a_family_show():
+    """Sixteen of 128 campaigns of twenty correlated rows show a fifth too much or too little: right cameras stood off by it."""
+    values = 2.0 * np.random.default_rng(2).standard_normal((128, 20))
+    metrics = [Metric("mean", 60.0, 1.0, "DN", shot="dark", family="dark_mean")] * 20
+    table = MetricTable((Block(tuple(metrics)),))
+    problem = SimpleNamespace(
+        predictor=SimpleNamespace(table=table), simulated=lambda rows: values[:, rows], unseen=np.zeros((20, 0))
+    )
+    assert _true_mean_square(problem, np.arange(20), np.eye(20)) == pytest.approx(4.0, abs=5 * 4 * np.sqrt(2 / values.size))
