@@ -81,14 +81,19 @@ def test_a_fit_starts_at_the_root_of_what_the_secant_says():
     assert first_values(candidate, signature, mean)[KEY] == pytest.approx(step / 2)
 
 
-@pytest.mark.parametrize(("name", "share"), [("column_fpn", 0.5), ("row_fpn", 0.5), ("hot_pixels", 0.25), ("rts", 0.25)])
+@pytest.mark.parametrize(("name", "share"), [("column_fpn", 0.5), ("row_fpn", 0.5), ("hot_pixels", 1.0), ("rts", 0.25)])
 def test_patterns_of_lines_start_at_the_root_too_and_numbers_of_pixels_do_not(name, share):
-    """A quarter of what one step adds: of a variance half the standard deviation, of a count of pixels a quarter of them."""
+    """A quarter of what one step adds: of a variance half the standard deviation, of a count of pixels a quarter of them.
+
+    But no fewer than the step's where they are the same in all frames (`test_counted_start.py`), and more where it says more.
+    """
     effect = catalogue()[name]()
     parameter = next(p for p in effect.parameters() if p.tau is not None and not p.shape)
     candidate = Candidate(name, effect, (parameter,), False)
     signature = SimpleNamespace(steps=candidate.tau)
     assert first_values(candidate, signature, np.array([0.25]))[candidate.keys[0]] == pytest.approx(share * parameter.tau)
+    more = np.sqrt(1.25) if share == 0.5 else 1.25
+    assert first_values(candidate, signature, np.array([1.25]))[candidate.keys[0]] == pytest.approx(more * parameter.tau)
 
 
 def test_a_fit_starts_within_the_bounds():
