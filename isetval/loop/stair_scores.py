@@ -21,9 +21,8 @@ from isetval.loop.shortlist import FORMS_TRIED
 from isetval.loop.signatures import Signature
 
 Float = NDArray[np.float64]
-STEPS_OF_CODE = (
-    2  # steps looked at for each code of the brightest level, as a fit's first look over its stair (`code_stair.COARSE`)
-)
+STEPS_OF_CODE = 2
+"""Steps looked at for each code of the brightest level, as in a fit's first look over its stair (`code_stair.COARSE`)."""
 REACH = 4  # steps to either side: the two codes that a fit looks over
 
 

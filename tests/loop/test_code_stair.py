@@ -175,9 +175,8 @@ def test_what_is_measured_without_noise_has_no_stair():
     assert problem.predictor.asked_for[-1] == {"level0", "level1", "level2"}
     left, moved = codes(0.0021) - codes(0.0), signature.columns[-1, 0]
     width = signature.candidate.code_steps[KEY] / 2
-    step = width * np.arange(
-        round(score(frame, white).estimate[0] / width) - 4, round(score(frame, white).estimate[0] / width) + 5
-    )
+    middle = round(score(frame, white).estimate[0] / width)
+    step = width * np.arange(middle - 4, middle + 5)
     stairs = np.array([codes(h) - codes(0.0) for h in step])
     stairs[:, -1] = step * moved
     chi2 = (left @ left - np.sum((left - stairs) ** 2, axis=1)) / SIGMA_DN**2
