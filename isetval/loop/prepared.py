@@ -34,8 +34,7 @@ PLAIN_REPLICAS = 64
 was 11 %, the same in every diagnosis of a plan: fresh captures of the very model stood at 1.29 in one family of 18.  Edges and
 charts cost ten times as much."""
 DARK_REPLICAS = 128
-"""Of darks, which are few and cheap beside all else: with 64, the columns of five of them stood at 1.11 in 306 sessions of right
-cameras, mostly of that many: one draw of replicas knows their error bars to 4 %."""
+"""Of darks, which are few and cheap beside all else: a variance of ten rows is known to sqrt(2 / (127 * 10)) = 4 %."""
 MAX_PLACES = 4  # places at which weights are made for one fit: a bound on cost, the second is the last where focus moved
 
 
@@ -176,9 +175,10 @@ def prepare(
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
     with closing(Runner(jobs, say.counted)) as runner:  # until the predictor goes on with its workers
         nominal = nominal_of(model, campaign, runner)
+        chosen = Nominal(nominal.choices)  # goes to the workers with each shot: the keys of all rows need not
         table = table or measure_campaign(
             campaign,
-            choices=Nominal(nominal.choices).that_hold,
+            choices=chosen.that_hold,
             summaries=False,
             over=runner.in_turn,
             progress=lambda _, done, total: say.counted(done, total),

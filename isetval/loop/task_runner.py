@@ -88,6 +88,12 @@ class Runner:
         for pool in workers.pools:
             pool.shutdown(wait=False, cancel_futures=True)
 
+    def _have_begun(self) -> bool:
+        """Whether workers of this machine that it would share run already."""
+        with _LOCK:
+            workers = self._workers or _SHARED.get(self.jobs)
+            return not self._far and workers is not None and bool(workers.pools)
+
     def _pools(self) -> Sequence[Executor]:
         """The workers, started for whoever asks first."""
         if self._far:
@@ -114,12 +120,12 @@ class Runner:
     def in_turn(self, works: Iterable[Work]) -> Iterator[Any]:
         """What functions give for their arguments, in the order of works, which are taken as there is room.
 
-        By workers of this machine that have begun already: starting them takes as long as measuring a campaign.
+        By workers of this machine that have begun already, for whoever: starting them takes as long as measuring a campaign.
         """
-        pools = self._workers.pools if self._workers is not None else ()
-        if not pools:
+        if not self._have_begun():
             yield from done_here(works)
             return
+        pools = self._pools()
         flying: deque[tuple[Future[Any], int]] = deque()
         try:
             for function, arguments in works:

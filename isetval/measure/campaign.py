@@ -20,7 +20,7 @@ from isetval.core.sensor import Roi
 from isetval.measure.given import given_block, same_rows
 from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
-from isetval.measure.works import InTurn, Work, as_it_is, done_here, may_be_sent
+from isetval.measure.works import InTurn, Work, done_here, sent_or_done
 
 Progress = Callable[[str, int, int], None]
 ChoicesFor = Callable[[Shot, Sequence[Capture]], Mapping[str, Any]]
@@ -124,9 +124,8 @@ class _Measured:
         for shot in self.campaign.shots:
             captures = self.campaign.captures.read(shot.name)
             self.begun.append((shot, captures))
-            asked = (shot, captures, self.choices, self.patches)
-            yield (analyzed_shot, asked) if may_be_sent(captures) else (as_it_is, (analyzed_shot(*asked),))
-            del captures, asked
+            yield sent_or_done(analyzed_shot, shot, captures, self.choices, self.patches)
+            del captures
 
     def take(self, analyzed: Analyzed) -> Shot:
         """Add what was found of the shot that was begun first."""

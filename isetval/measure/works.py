@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
+from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 
 T = TypeVar("T")
@@ -24,11 +25,11 @@ def done_here(works: Iterable[Work]) -> Iterator[Any]:
         del found
 
 
-def may_be_sent(captures: Sequence[Capture]) -> bool:
-    """Whether frames are in memory, where some are decoded only when they are looked at, and few enough to go to a worker."""
-    return isinstance(captures, tuple) and sum(capture.mosaic.size for capture in captures) <= SENT_PIXELS
+def sent_or_done(measure: Callable[..., Any], shot: Shot, captures: Sequence[Capture], *more: Any) -> Work:
+    """``measure(shot, captures, *more)`` as a work; done already where frames are many, or decoded as they are looked at."""
+    few = isinstance(captures, tuple) and sum(capture.mosaic.size for capture in captures) <= SENT_PIXELS
+    return (measure, (shot, captures, *more)) if few else (_as_it_is, (measure(shot, captures, *more),))
 
 
-def as_it_is(found: T) -> T:
-    """A work that was done already."""
+def _as_it_is(found: T) -> T:
     return found
