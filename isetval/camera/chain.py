@@ -34,6 +34,7 @@ BAND_BUDGET = 6_000_000  # spectral samples held at once: 48 MB, a strip of 20 r
 PICTURE_STRIPS = 4  # times that for charts, whose pictures are few: strips of 90 rows had 192 of halo, which is blurred with them
 LEAK_SHARE = 0.05  # of a light's maximum: below it lies what a band-pass filter leaks
 NARROW_SHARE = 0.25  # of the bands: light that fills more is no narrow band
+RUN_PX = 32_768  # that effects without a halo see at once: 256 KB of doubles stay in a core's second-level cache
 CACHE_BYTES = 600_000_000  # six full 12 MP frames, or all windows of a laboratory's plan at twenty points of a fit
 
 
@@ -292,8 +293,8 @@ def _field_means(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup) -
 def electronics(model: Camera, mean: NDArray[Any], context: Context, *, factor: float = 1.0, threads: int = 1) -> NDArray[Any]:
     """One frame's DN, (rows, cols), from mean photo-electrons times ``factor``.
 
-    Runs of effects without a halo go block by block (rows of the full-sensor grid, one stream per
-    block: the bits depend neither on ``threads`` nor on the other effects); an effect with a halo
+    Effects without a halo see some blocks at a time (rows of the full-sensor grid, one stream per
+    block: the bits depend neither on how many these are, nor on ``threads``, nor on the other effects); an effect with a halo
     sees the whole window.
     """
     dtype = np.float32 if context.mode == "capture" else np.float64
@@ -325,22 +326,27 @@ def _run_block_wise(
     row0, col0, rows, cols = context.window
     if run[0][0].halo_px:
         return _run(run, charge, unit, context.but(shot_window=context.shot_window or context.window))
-    edges = [row0, *range((row0 // TILE_ROWS + 1) * TILE_ROWS, row0 + rows, TILE_ROWS), row0 + rows]
+    edges = [row0, *range((row0 // TILE_ROWS + 1) * TILE_ROWS, row0 + rows, TILE_ROWS)]
+    together = max(1, RUN_PX // (TILE_ROWS * cols))
+    runs = [tuple(edges[i : i + together]) for i in range(0, len(edges), together)]
+    ends = [*(first for first, *_ in runs[1:]), row0 + rows]
     out = charge
 
     def block(i: int) -> None:
-        part = (edges[i], col0, edges[i + 1] - edges[i], cols)
-        rows_here = slice(edges[i] - row0, edges[i + 1] - row0)
-        own = context.but(window=part, shot_window=context.shot_window or context.window)
+        first, end = runs[i][0], ends[i]
+        rows_here = slice(first - row0, end - row0)
+        own = context.but(
+            window=(first, col0, end - first, cols), shot_window=context.shot_window or context.window, row_edges=runs[i]
+        )
         if own.previous is not None and own.previous.shape[0] == rows:
             own = own.but(previous=own.previous[rows_here])
         out[:, rows_here] = _run(run, charge[:, rows_here], unit, own)
 
-    if threads > 1 and len(edges) > 4:
+    if threads > 1 and len(runs) > 3:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(block, range(len(edges) - 1)))
+            list(pool.map(block, range(len(runs))))
     else:
-        for i in range(len(edges) - 1):
+        for i in range(len(runs)):
             block(i)
     return out
 

@@ -7,7 +7,7 @@ all others as it was, and the bits depend neither on the number of threads nor o
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Literal
@@ -82,7 +82,8 @@ class Context:
     """Where and how a signal is exposed.
 
     ``window`` is (row0, col0, rows, cols) on the sensor: the part being computed; ``shot_window`` is
-    the whole of the shot (None: the same).  ``nuisance`` holds the shot's unknowns
+    the whole of the shot (None: the same).  ``row_edges`` are the first rows of the window's blocks that have streams of their
+    own (none: it is one block).  ``nuisance`` holds the shot's unknowns
     (light level, focus ...) as drawn or fitted.  ``radiance`` is that of the shot's light, as finely as its table has it, for
     effects that change faster with the wavelength than the signal has bands.  ``mean_irradiance`` is the mean of the whole field,
     (bands,), for effects that scatter light over the field.  ``mode`` is *capture* (exact Poisson),
@@ -109,6 +110,7 @@ class Context:
     frame: int = 0
     mode: Mode = "capture"
     shot_window: tuple[int, int, int, int] | None = None
+    row_edges: tuple[int, ...] = ()
     effect_key: tuple[int, int] = (0, 0)
     previous: Float | None = None
     poisson_gaussian: bool = True
@@ -189,6 +191,13 @@ class Context:
         """A stream: of this sensor, or of this frame of this shot in this block of rows."""
         return self.fixed_rng(part) if kind == "sensor" else stream(self.seed, *self._frame_key(part))
 
+    def blocks(self) -> Iterator[tuple[slice, Context]]:
+        """Rows of the window and the context of each of its blocks."""
+        row0, col0, rows, cols = self.window
+        ends = (*self.row_edges[1:], row0 + rows)
+        for first, end in zip(self.row_edges or (row0,), ends, strict=True):
+            yield slice(first - row0, end - row0), self.but(window=(first, col0, end - first, cols), row_edges=())
+
     def _frame_key(self, part: int) -> tuple[int, ...]:
         row0, col0 = self.window[:2]
         # regions beside each other are drawn one by one; a block that begins where the shot does needs no column
@@ -198,18 +207,17 @@ class Context:
     def frame_numbers(self, kind: Literal["normal", "uniform", "dither"], shape: tuple[int, ...], part: int = 0) -> NDArray[Any]:
         """Unit normals (float32), uniforms, or parts of a code (float32) of this frame, the first that `rng` would draw.
 
-        Derivatives ask for the same numbers at every point: they are remembered, and read-only.
+        Of each block its own.  ``shape`` is (..., rows, cols) of the window.  Derivatives ask for the same numbers at every
+        point: they are remembered, and read-only.
         """
 
         def drawn() -> NDArray[Any]:
-            rng = self.rng("frame", part)
-            if kind == "normal":
-                return rng.standard_normal(shape, dtype=np.float32)
-            return rng.random(shape) if kind == "uniform" else rng.random(shape, dtype=np.float32) - np.float32(0.5)
+            parts = [_drawn(own.rng("frame", part), kind, (*shape[:-2], own.window[2], shape[-1])) for _, own in self.blocks()]
+            return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-2)
 
         if self.mode != "derivative":
             return self._signed(drawn()) if kind == "normal" else drawn()
-        key = (kind, self.seed, self._frame_key(part), shape)
+        key = (kind, self.seed, self._frame_key(part), shape, self.row_edges)
         found = _COMMON.get(key)
         if found is None:
             found = drawn()
@@ -236,6 +244,12 @@ class Context:
         return float(self.nuisance.get(parameter, 0.0))
 
 
+def _drawn(rng: np.random.Generator, kind: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    if kind == "normal":
+        return rng.standard_normal(shape, dtype=np.float32)
+    return rng.random(shape) if kind == "uniform" else rng.random(shape, dtype=np.float32) - np.float32(0.5)
+
+
 TERMS_AT_ONCE = 8  # between which the pixels that are done are laid aside: a copy of the rest costs as much as two terms
 
 
@@ -248,7 +262,8 @@ def poisson(mean: Any, context: Context, part: int = 0) -> Float:
     """
     mean = np.maximum(mean, 0)
     if context.mode == "capture":
-        return np.asarray(context.rng("frame", part).poisson(mean), dtype=np.float64)
+        drawn = [own.rng("frame", part).poisson(mean[..., rows, :]) for rows, own in context.blocks()]
+        return np.asarray(drawn[0] if len(drawn) == 1 else np.concatenate(drawn, axis=-2), dtype=np.float64)
     if context.poisson_gaussian:
         return np.asarray(mean + np.sqrt(mean) * context.frame_numbers("normal", mean.shape, part))
     return _inverse_poisson(context.frame_numbers("uniform", mean.shape, part), mean)

@@ -246,7 +246,7 @@ class TransientHits(Effect):
         values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
         if context.mode == "expected":
             return signal.with_values(values + values.dtype.type(share * self.charge_e))
-        chance = context.rng("frame").random(context.window[2:])
+        chance = context.frame_numbers("uniform", context.window[2:])
         hit = chance < share
         values[0][hit] -= (self.charge_e * np.log(np.maximum(chance[hit] / share, 1e-300))).astype(values.dtype)
         return signal.with_values(values)

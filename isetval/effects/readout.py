@@ -86,7 +86,7 @@ class Rts(Effect):
         if not (self.fraction and self.amplitude_e) or context.mode == "expected":
             return signal
         chosen, chance = rare_pixels(context, self.fraction)
-        state = context.rng("frame").random(chosen.shape, dtype=np.float32)[chosen] < 0.5
+        state = context.frame_numbers("dither", chosen.shape)[chosen] < 0
         values = np.array(np.broadcast_to(signal.values, (1, *context.window[2:])))
         values[0][chosen] += (self.amplitude_e * -np.log(chance) * (state - 0.5)).astype(values.dtype)
         return signal.with_values(values)

@@ -45,13 +45,21 @@ class Base:
         """Of replicas behind each mean, (metrics,)."""
         return np.asarray(self.replicas + np.broadcast_to(self.further, self.mean.shape))
 
-    def with_simulation(self, rows: NDArray[np.intp] | slice = slice(None)) -> Float:
-        """By what the covariance of some rows (n, n) grows where the mean of the simulations is taken off: 1 + 1/R.
+    def with_simulation(self, rows: NDArray[np.intp], others: NDArray[np.intp]) -> Float:
+        """By what covariances of rows (n,) with others (m,) grow, (n, m), where the mean of simulations is taken off: 1 + 1/R.
 
         Of means of R and of r campaigns, the first r of them the same, the covariance is 1/R of that of one.
         """
-        number = self.number[rows]
-        return np.asarray(1 + 1 / np.maximum.outer(number, number))
+        number = self.number
+        return np.asarray(1 + 1 / np.maximum.outer(number[rows], number[others]))
+
+    def of_differences(self) -> Float:
+        """Covariance (metrics, metrics) of one campaign minus the mean of the simulations."""
+        out = self.covariance * (1 + 1 / self.replicas)
+        every, more = np.arange(len(self.mean)), np.flatnonzero(self.number != self.replicas)
+        out[more] = self.covariance[more] * self.with_simulation(more, every)
+        out[:, more] = out[more].T
+        return out
 
 
 def gathered(placed: Placed, replicas: int, n: int) -> tuple[Float, Float]:
@@ -86,9 +94,9 @@ def scattered(placed: Placed, covariance: Float, metrics: Sequence[Metric]) -> F
         alike.setdefault(len(sample.values), []).append((rows, sample))
     out = np.ones(len(metrics))
     for replicas, parts in alike.items():
-        values = np.zeros((replicas, out.size))
+        values = np.full((replicas, out.size), np.nan)
         for rows, sample in parts:
             values[:, rows] = sample.values
-        every = np.sort(np.concatenate([rows for rows, _ in parts]))
-        out[every] = scatter(values[:, every], covariance[np.ix_(every, every)], [metrics[i] for i in every])
+        own = np.concatenate([rows for rows, _ in parts])
+        out[own] = scatter(values, covariance, metrics)[own]
     return out

@@ -15,7 +15,7 @@ from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.core.metric import METRIC_FIELDS, Metric
 from isetval.core.shown import Drawn
-from isetval.loop.block_factor import factor
+from isetval.loop.block_factor import Factor, factor
 from isetval.loop.error_budget import BudgetRow, error_budget
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import degrees_spent, expected_mean_square
@@ -97,14 +97,17 @@ def _mean_square(problem: Problem, fit: Fit, raw: Float, mask: Mask) -> tuple[fl
     """
     n = int(mask.sum())
     rows = problem.keep[mask]
-    covariance = problem.covariance[np.ix_(rows, rows)]
-    true = _true_mean_square(problem, rows, covariance)
-    root = problem.factor if mask.all() else factor(covariance)
+    root = problem.factor if mask.all() else _root(problem, rows)
+    true = _true_mean_square(problem, rows, root)
     total = float(np.sum(root.white(fit.residual[rows]) ** 2))
     return total / max(n - degrees_spent(root.white(raw[mask]), fit.jacobian, fit.free), 1.0) / true, n
 
 
-def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Float) -> float:
+def _root(problem: Problem, rows: NDArray[np.intp]) -> Factor:
+    return factor(problem.covariance[np.ix_(rows, rows)])
+
+
+def _true_mean_square(problem: Problem, rows: NDArray[np.intp], root: Factor) -> float:
     """What a true model shows: as replicas and what they do not have scatter; 1 for rows given with error bars and for counts.
 
     Rare things that no replica has seen scatter by nothing: single events of 1.2 sigmas would be told as a mean square of 20.
@@ -115,7 +118,7 @@ def _true_mean_square(problem: Problem, rows: NDArray[np.intp], covariance: Floa
         return 1.0
     unseen = problem.unseen[rows[own]]
     unseen = unseen[:, np.any(unseen, axis=0)]
-    expected = expected_mean_square(problem.simulated(rows[own]), covariance[np.ix_(own, own)], unseen)
+    expected = expected_mean_square(problem.simulated(rows[own]), root if own.all() else _root(problem, rows[own]), unseen)
     return float(np.average([expected, 1.0], weights=[own.sum(), (~own).sum()]))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
-from isetval.loop.block_factor import factor
+from isetval.loop.block_factor import Factor, factor
 
 Float = NDArray[np.float64]
 FLOOR = 0.15
@@ -27,13 +27,8 @@ def log_volume(covariance: Float) -> float:
     return factor(covariance).log_volume
 
 
-def squares(residuals: Float, covariance: Float) -> Float:
-    """R' C^-1 r, (k,), of residuals (n, k)."""
-    return np.asarray(np.sum(factor(covariance).white(residuals) ** 2, axis=0))
-
-
-def expected_mean_square(values: Float, covariance: Float, unseen: Float | None = None) -> float:
-    """Mean square of z that a true model shows, from replicas ``values`` (replicas, n) and the covariance of a difference.
+def expected_mean_square(values: Float, root: Factor, unseen: Float | None = None) -> float:
+    """Mean square of z that a true model shows, from replicas ``values`` (replicas, n), ``root`` of a difference's covariance.
 
     ``unseen`` (n, k) are columns of what captures scatter by and replicas do not: light that flickers, for one.
 
@@ -46,7 +41,7 @@ def expected_mean_square(values: Float, covariance: Float, unseen: Float | None 
     if replicas < 2:
         return 1.0
     shown = true_scatter(values, np.zeros((n, 0)) if unseen is None else unseen)
-    return towards_one(float(np.sum(squares(shown, covariance))), n, replicas)
+    return towards_one(float(np.sum(root.white(shown) ** 2)), n, replicas)
 
 
 def true_scatter(values: Float, unseen: Float) -> Float:
@@ -127,21 +122,21 @@ def scatter(values: Float, covariance: Float, metrics: Sequence[Metric]) -> Floa
     A family's ratio is drawn towards 1, that of the family in one shot towards the family's: row noise, for one, concerns
     horizontal edges only.
     """
-    families = np.array([m.family for m in metrics])
-    shots = np.array([str(m.shot) for m in metrics])
-    rare = np.array([m.count for m in metrics], bool)
     variance = np.diag(covariance)
-    good = ~rare & np.isfinite(variance) & (variance > 0) & np.isfinite(values).all(axis=0)
+    good = np.isfinite(variance) & (variance > 0) & np.isfinite(values).all(axis=0)
     residual = values - values.mean(axis=0)
-    out = np.ones(families.size)
-    for family in dict.fromkeys(families[~rare]):
-        parts = [(shot, np.flatnonzero((families == family) & (shots == shot) & good)) for shot in dict.fromkeys(shots)]
-        seen = {shot: _whitened_square(residual[:, rows], covariance[np.ix_(rows, rows)]) for shot, rows in parts if rows.size}
-        total, numbers = sum(square for square, _ in seen.values()), sum(n for _, n in seen.values())
+    families: dict[str, dict[str, list[int]]] = {}
+    for i, m in enumerate(metrics):
+        if not m.count:
+            families.setdefault(m.family, {}).setdefault(str(m.shot), []).append(i)
+    out = np.ones(len(metrics))
+    for shots in families.values():
+        parts = [(every, [i for i in every if good[i]]) for every in shots.values()]
+        seen = [(every, *_whitened_square(residual[:, rows], covariance[np.ix_(rows, rows)])) for every, rows in parts if rows]
+        total, numbers = sum(square for _, square, _ in seen), sum(n for _, _, n in seen)
         whole = (total + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
-        for shot, (square, n) in seen.items():
-            own = (square + TOWARDS_FAMILY * whole) / (n + TOWARDS_FAMILY)
-            out[(families == family) & (shots == shot)] = np.sqrt(own)
+        for every, square, n in seen:
+            out[every] = np.sqrt((square + TOWARDS_FAMILY * whole) / (n + TOWARDS_FAMILY))
     return out
 
 

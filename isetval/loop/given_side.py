@@ -136,8 +136,11 @@ def _is_given(block: Block) -> bool:
 
 def measured_only(covariance: Float, table: MetricTable) -> Float:
     """A covariance, (metrics, metrics), that is unknown for given rows: how they scatter is no one's to find here."""
+    given = given_rows(table)
+    if not given.any():
+        return covariance
     out = covariance.copy()
-    out[given_rows(table)] = np.nan
+    out[given] = np.nan
     return out
 
 

@@ -308,21 +308,24 @@ class Predictor:
         placed = [(self.rows[shot.name], samples[shot.name]) for shot in self.shots]
         values, covariance = gathered(placed, replicas, len(self.keys))
         scale = scattered(placed, measured_only(covariance, self.table), self.table.metrics)
-        rendered = self._of_renders(every[0])
-        covariance = with_stated_covariance(covariance * np.outer(scale, scale) + rendered, self.table, replicas)
+        covariance *= scale[:, None]
+        covariance *= scale
+        render = np.zeros(len(self.keys))
+        for rows, part in self._of_renders(every[0]):
+            covariance[np.ix_(rows, rows)] += part
+            render[rows] = np.diag(part)
+        covariance = with_stated_covariance(covariance, self.table, replicas)
         mean, number = averaged(placed, len(self.keys))
-        return Base(mean, covariance, values, scale, np.diag(rendered), samples, number - replicas)
+        return Base(mean, covariance, values, scale, render, samples, number - replicas)
 
-    def _of_renders(self, tasks: list[ShotPart]) -> Float:
-        """Covariance from the noise of renders, which all replicas share and so do not show."""
-        out = np.zeros((len(self.keys), len(self.keys)))
+    def _of_renders(self, tasks: list[ShotPart]) -> Iterator[tuple[NDArray[np.intp], Float]]:
+        """Rows (n,) of shots and their covariance (n, n) from the noise of renders, which replicas share and do not show."""
         rendered = [task for task in tasks if isinstance(task.setup.shot.target, RenderedTarget)]
         calls = [self._call(render_part, [task]) for task in rendered]
         for i, part in self._runner.results(calls):
             name = rendered[i].of
             if part is not None:
-                out[np.ix_(self.rows[name], self.rows[name])] = part[np.ix_(self.pick[name], self.pick[name])]
-        return out
+                yield self.rows[name], part[np.ix_(self.pick[name], self.pick[name])]
 
     def _call(self, function: Any, tasks: Sequence[ShotPart], *more: Any) -> Call:
         shot = tasks[0].of

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.camera.shooting import check_sensor
+from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.given import row_words
@@ -27,6 +28,7 @@ from isetval.loop.telling import Say, Teller
 from isetval.loop.valleys import deepest
 from isetval.loop.weighing import make_problem
 from isetval.measure.campaign import measure_campaign
+from isetval.measure.kept_shots import KeptShots
 
 Float = NDArray[np.float64]
 PLAIN_REPLICAS = 64
@@ -181,6 +183,7 @@ def prepare(
             choices=chosen.that_hold,
             summaries=False,
             over=runner.in_turn,
+            kept=KeptShots(content_hash(nominal.choices)),
             progress=lambda _, done, total: say.counted(done, total),
         )
         campaign = _without_broken(campaign)

@@ -7,6 +7,7 @@ simulations themselves show.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,7 +29,8 @@ from isetval.loop.shot_task import HELD_PIXELS, Rows, ShotPart
 from isetval.loop.stand_ins import of_shot
 from isetval.loop.telling import Teller
 from isetval.measure.campaign import measure_shot, measure_shots
-from isetval.measure.works import Work, sent_or_done
+from isetval.measure.kept_shots import Analyzed, KeptShots
+from isetval.measure.works import InTurn, Work, done, sent_or_done
 
 Float = NDArray[np.float64]
 TRIMMED = 1 / 16  # of the shorter side, at both ends: as far as the boxes of two people differ; a quarter of the pixels
@@ -69,45 +71,54 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign, say: Teller
     teller = say or Teller()
     teller(f"measuring smaller regions, as {problem.nominal.name} and the captures have them")
     parts = [predictor.parts(fitted.point, SEED + r, derivative=False) for r in range(REPLICAS)]
-    groups, more, found = [], [], []
+    groups, more, inside = [], [], []
     smaller = [_smaller(shot, task.model.sensor) for shot, task in zip(predictor.shots, parts[0], strict=True)]
-    tried = predictor.in_turn(_measuring([shot for shot in smaller if shot is not None], campaign))
+    tried = _measured([shot for shot in smaller if shot is not None], campaign, predictor.in_turn)
     for inner, *tasks in zip(smaller, *parts, strict=True):
-        measured = next(tried) if inner is not None else None
-        if inner is not None and measured is not None:
+        blocks = next(tried) if inner is not None else []
+        if inner is not None and blocks:
             groups.append(tasks)
             name = tasks[0].setup.shot.name
-            more.append((replace(inner, name=name), of_shot(measured[1], inner.name, name)))
-            found.append(measured[0])
+            choices = {f"{inner.name}/{analysis}": dict(block.choices) for analysis, block in blocks if block.choices}
+            more.append((replace(inner, name=name), of_shot(choices, inner.name, name)))
+            own = Rows.of([predictor.keys[i] for i in predictor.rows[tasks[0].of]])
+            inside.append(own.values([block for _, block in blocks]))
     change, noise = (np.full(len(predictor.keys), np.nan) for _ in range(2))
     simulated = predictor.known_or_made(differences_of, groups, more)
-    for tasks, blocks, vector in zip(groups, found, simulated, strict=True):
-        own = predictor.rows[tasks[0].of]
+    for tasks, measured, vector in zip(groups, inside, simulated, strict=True):
+        rows = predictor.rows[tasks[0].of]
         moved = vector.reshape(REPLICAS, -1)[:, predictor.pick[tasks[0].of]]
-        inside = Rows.of([predictor.keys[i] for i in own]).values(blocks)
-        change[own] = inside - problem.measured[own] - moved.mean(axis=0)
-        noise[own] = moved.var(axis=0, ddof=1) * (1 + 1 / REPLICAS)
+        change[rows] = measured - problem.measured[rows] - moved.mean(axis=0)
+        noise[rows] = moved.var(axis=0, ddof=1) * (1 + 1 / REPLICAS)
     keep = problem.keep
     variance = np.diag(problem.covariance)[keep]
     return RegionChange(change[keep] / np.sqrt(variance), noise[keep] / variance)
 
 
-def _measuring(shots: Sequence[Shot], campaign: Campaign) -> Iterator[Work]:
-    """`measured_in` of each shot's captures, decoded when they are asked for."""
-    for inner in shots:
-        frames = tuple(_cut(campaign.captures.read(inner.name), inner))
-        yield sent_or_done(measured_in, inner, frames)
+def _measured(shots: Sequence[Shot], campaign: Campaign, in_turn: InTurn) -> Iterator[list[tuple[str, Block]]]:
+    """`measured_in` of each shot's captures, which are decoded when there is room for them, or what is kept of it."""
+    kept = KeptShots("chosen by itself")
+    begun: deque[str | None] = deque()
+
+    def works() -> Iterator[Work]:
+        for inner in shots:
+            frames = tuple(_cut(campaign.captures.read(inner.name), inner))
+            key = kept.key(inner, frames)
+            known = kept.get(key)
+            begun.append(key if known is None else None)
+            yield sent_or_done(measured_in, inner, frames) if known is None else done(known)
+
+    for found in in_turn(works()):
+        kept.put(begun.popleft(), found)
+        yield found[0]
 
 
-def measured_in(inner: Shot, frames: Sequence[Capture]) -> tuple[list[Block], dict[str, Any]] | None:
-    """What a shot's captures show in its smaller region, and what was chosen there; None where it cannot be measured."""
-    if not frames:
-        return None
+def measured_in(inner: Shot, frames: Sequence[Capture]) -> Analyzed:
+    """What a shot's captures show in its smaller region, by analysis; nothing where it cannot be measured."""
     try:
-        found = measure_shot(inner, frames)
+        return measure_shot(inner, frames) if frames else [], []
     except InputError:
-        return None
-    return [block for _, block in found], {f"{inner.name}/{name}": dict(block.choices) for name, block in found if block.choices}
+        return [], []
 
 
 def differences_of(tasks: Sequence[ShotPart], rows: Rows, inner: Shot, choices: Mapping[str, Any]) -> Float:

@@ -148,7 +148,7 @@ def repeat_differences(
     local = pick[:, problem.keep]
     paired = np.any(local, axis=0)
     both = problem.keep[paired]
-    covariance = problem.covariance[np.ix_(both, both)] / problem.base.with_simulation(both)
+    covariance = problem.covariance[np.ix_(both, both)] / problem.base.with_simulation(both, both)
     spread = local[:, paired] @ covariance @ local[:, paired].T + (
         _set_up_part(problem, fitted or prepared.fit_nuisances(prepared.model), local) if rows else 0.0
     )

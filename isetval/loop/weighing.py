@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from isetval.core.errors import InputError
 from isetval.core.metric import Metric, MetricTable
 from isetval.loop.base import Base
-from isetval.loop.block_factor import UNWEIGHED, factor, gram
+from isetval.loop.block_factor import UNWEIGHED, add_columns, factor
 from isetval.loop.gaussian import towards_one, true_scatter
 from isetval.loop.given_side import given_rows
 from isetval.loop.marginal_columns import marginal_columns
@@ -120,17 +120,20 @@ def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np
 def weigh(problem: Problem) -> None:
     """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light), its factor, what rows hold."""
     keep = problem.keep
-    covariance = problem.base.covariance * problem.base.with_simulation()
+    covariance = problem.base.of_differences()
     flicker, colors = marginal_columns(problem)
-    covariance += gram(flicker) + gram(colors)
+    for columns in (flicker, colors):
+        add_columns(covariance, columns)
     problem.color_variance = np.sum(colors**2, axis=1)
     rounding = _rounding(problem, np.diag(covariance)) + (problem.filling.plateau if problem.filling else 0.0)
     problem.unseen = np.column_stack([flicker, colors, _each_alone(rounding + problem.base.render)])
     covariance[np.diag_indices_from(covariance)] += rounding
     rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
-    covariance *= rare[:, None] * rare
+    less = np.flatnonzero(rare != 1)
+    covariance[less] *= rare[less, None]
+    covariance[:, less] *= rare[less]
     problem.covariance = covariance
-    problem.factor = factor(covariance[np.ix_(keep, keep)])
+    problem.factor = factor(covariance, keep)
     problem.numbers = _numbers(problem)
 
 

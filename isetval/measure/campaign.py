@@ -18,9 +18,10 @@ from isetval.core.given import row_words
 from isetval.core.metric import Block, MetricTable
 from isetval.core.sensor import Roi
 from isetval.measure.given import given_block, same_rows
+from isetval.measure.kept_shots import Analyzed, KeptShots
 from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
-from isetval.measure.works import InTurn, Work, done_here, sent_or_done
+from isetval.measure.works import InTurn, Work, done, done_here, sent_or_done
 
 Progress = Callable[[str, int, int], None]
 ChoicesFor = Callable[[Shot, Sequence[Capture]], Mapping[str, Any]]
@@ -62,6 +63,7 @@ def measure_campaign(
     summaries: bool = True,
     patches: Mapping[str, Any] | None = None,
     over: InTurn | None = None,
+    kept: KeptShots | None = None,
 ) -> MetricTable:
     """Measure every shot of a campaign.
 
@@ -83,6 +85,8 @@ def measure_campaign(
     over : callable, optional
         Who does the analyses of the shots, ``over(works)``: workers that are there anyway.  Files are read here, a few shots
         ahead of them.
+    kept : KeptShots, optional
+        Where results of shots are found and kept; it knows what ``choices`` and ``patches`` come from.
 
     Returns
     -------
@@ -95,11 +99,13 @@ def measure_campaign(
     InputError
         If no shot of the campaign can be measured.
     """
-    found = _Measured(campaign, choices, summaries, patches, notes=[*campaign.notes])
+    found = _Measured(campaign, choices, summaries, patches, kept, notes=[*campaign.notes])
     for i, analyzed in enumerate((over or done_here)(found.works())):
         shot = found.take(analyzed)
         if progress is not None:
             progress(shot.name, i + 1, len(campaign.shots))
+    if kept is not None:
+        kept.close()
     return found.table()
 
 
@@ -111,25 +117,30 @@ class _Measured:
     choices: Mapping[str, Any] | ChoicesFor | None
     summaries: bool
     patches: Mapping[str, Any] | None
+    kept: KeptShots | None
     notes: list[str]
     blocks: list[Block] = field(default_factory=list)
     about: list[Block] = field(default_factory=list)
     made: dict[str, Any] = field(default_factory=dict)
     frames: dict[str, Sequence[Capture]] = field(default_factory=dict)
     held: int = 0
-    begun: deque[tuple[Shot, Sequence[Capture]]] = field(default_factory=deque)
+    begun: deque[tuple[Shot, Sequence[Capture], str | None]] = field(default_factory=deque)
 
     def works(self) -> Iterator[Work]:
         """The analyses of each shot; its captures are let go before the next is decoded, where nobody does several at a time."""
         for shot in self.campaign.shots:
             captures = self.campaign.captures.read(shot.name)
-            self.begun.append((shot, captures))
-            yield sent_or_done(analyzed_shot, shot, captures, self.choices, self.patches)
+            key = self.kept.key(shot, captures) if self.kept is not None else None
+            known = self.kept.get(key) if self.kept is not None else None
+            self.begun.append((shot, captures, None if known is not None else key))
+            yield sent_or_done(analyzed_shot, shot, captures, self.choices, self.patches) if known is None else done(known)
             del captures
 
     def take(self, analyzed: Analyzed) -> Shot:
         """Add what was found of the shot that was begun first."""
-        shot, captures = self.begun.popleft()
+        shot, captures, key = self.begun.popleft()
+        if self.kept is not None:
+            self.kept.put(key, analyzed)
         given = _listed(shot, self.notes, alone=not captures)
         if given.metrics:
             self.blocks.append(given)
@@ -181,10 +192,6 @@ class _Measured:
         notes += [f"file {file} left out: {reason}" for file, reason in self.campaign.captures.skipped]
         table = MetricTable(tuple(self.blocks), choices=self.made, notes=tuple(notes), settings={"campaign": name})
         return table if self.summaries else table.select(i for i, m in enumerate(table.metrics) if not m.summary)
-
-
-Analyzed = tuple[list[tuple[str, Block]], list[str]]
-"""Blocks of a shot by the names of their analyses, and remarks on what could not be measured."""
 
 
 def analyzed_shot(

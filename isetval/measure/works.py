@@ -28,7 +28,12 @@ def done_here(works: Iterable[Work]) -> Iterator[Any]:
 def sent_or_done(measure: Callable[..., Any], shot: Shot, captures: Sequence[Capture], *more: Any) -> Work:
     """``measure(shot, captures, *more)`` as a work; done already where frames are many, or decoded as they are looked at."""
     few = isinstance(captures, tuple) and sum(capture.mosaic.size for capture in captures) <= SENT_PIXELS
-    return (measure, (shot, captures, *more)) if few else (_as_it_is, (measure(shot, captures, *more),))
+    return (measure, (shot, captures, *more)) if few else done(measure(shot, captures, *more))
+
+
+def done(found: Any) -> Work:
+    """A work that is done: what it gave."""
+    return _as_it_is, (found,)
 
 
 def _as_it_is(found: T) -> T:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isetval.loop.block_factor import JITTER, UNWEIGHED, factor, gram
+from isetval.loop.block_factor import JITTER, UNWEIGHED, add_columns, factor
 
 SHOTS = (1, 1, 3, 3, 7)  # rows of each
 
@@ -60,5 +60,18 @@ def test_what_is_not_positive_is_refused():
 
 def test_sparse_columns_have_the_gram_matrix_of_any_others(rng):
     columns = np.where(rng.uniform(size=(40, 25)) < 0.1, rng.standard_normal((40, 25)), 0.0)
-    assert np.allclose(gram(columns), columns @ columns.T, atol=1e-14)
-    assert gram(columns[:, :0]).shape == (40, 40)
+    covariance = np.eye(40)
+    add_columns(covariance, columns)
+    assert np.allclose(covariance, np.eye(40) + columns @ columns.T, atol=1e-14)
+    add_columns(covariance, columns[:, :0])
+    assert np.allclose(covariance, np.eye(40) + columns @ columns.T, atol=1e-14)
+
+
+def test_most_rows_of_a_covariance_have_the_root_of_their_own(rng):
+    columns = np.where(rng.uniform(size=(40, 25)) < 0.05, rng.standard_normal((40, 25)), 0.0)
+    covariance, keep = np.eye(40) + columns @ columns.T, np.flatnonzero(rng.uniform(size=40) < 0.8)
+    some, own = factor(covariance, keep), factor(covariance[np.ix_(keep, keep)])
+    vector = rng.standard_normal(keep.size)
+    assert np.allclose(some.white(vector), own.white(vector), rtol=1e-12)
+    assert some.n == keep.size
+    assert factor(covariance, keep[:0]) is UNWEIGHED

@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from isetval.core.parameter import Parameter
-from isetval.loop.gaussian import (
-    degrees_spent,
-    expected_mean_square,
-    inverse,
-    orthonormal_basis,
-    squares,
-    with_priors,
-)
+from isetval.loop.block_factor import factor
+from isetval.loop.gaussian import degrees_spent, expected_mean_square, inverse, orthonormal_basis, with_priors
 
 N, REPLICAS = 60, 40
 
@@ -26,7 +20,7 @@ def test_whitening_and_squares_agree_with_the_inverse():
     c = covariance(rng)
     r = rng.standard_normal(N) * np.sqrt(np.diag(c))
     # a jitter of 1e-9 on a condition of 1e4
-    assert squares(r[:, None], c)[0] == pytest.approx(r @ np.linalg.solve(c, r), rel=1e-5)
+    assert np.sum(factor(c).white(r) ** 2) == pytest.approx(r @ np.linalg.solve(c, r), rel=1e-5)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
@@ -34,7 +28,7 @@ def test_a_true_model_is_expected_where_its_replicas_stand(share):
     """Half of the stated variance is an allowance that nothing fills: replicas say .5."""
     rng = np.random.default_rng(2)
     values = np.sqrt(1 - share) * rng.standard_normal((REPLICAS, N))
-    found = expected_mean_square(values, (1 + 1 / REPLICAS) * np.eye(N))
+    found = expected_mean_square(values, factor((1 + 1 / REPLICAS) * np.eye(N)))
     numbers = N * (REPLICAS - 1)
     assert found == pytest.approx(1 - share, abs=5 * np.sqrt(2 / numbers) + 40 / numbers)
 
@@ -44,14 +38,14 @@ def test_what_replicas_do_not_have_is_expected_of_captures():
     rng = np.random.default_rng(3)
     few, count = 4, 200
     flicker = np.full((few, 1), 3.0)
-    stated = (1 + 1 / count) * np.eye(few) + flicker @ flicker.T
+    stated = factor((1 + 1 / count) * np.eye(few) + flicker @ flicker.T)
     found = expected_mean_square(rng.standard_normal((count, few)), stated, flicker)
     assert found == pytest.approx(1, abs=5 * np.sqrt(2 / (few * count)))
     assert expected_mean_square(rng.standard_normal((count, few)), stated) < 0.85
 
 
 def test_one_replica_says_nothing():
-    assert expected_mean_square(np.zeros((1, N)), np.eye(N)) == 1.0
+    assert expected_mean_square(np.zeros((1, N)), factor(np.eye(N))) == 1.0
 
 
 def test_a_parameter_held_by_its_prior_spends_less_than_one_row():

@@ -11,6 +11,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.metric import Block, Metric, MetricTable
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
+from isetval.loop.block_factor import factor
 from isetval.loop.comparison import _true_mean_square, captures_of, fitted_to
 
 WINDOW = (1464, 1968, 32, 32)
@@ -81,4 +82,6 @@ def test_a_mean_square_is_told_in_what_all_simulated_campaigns_of_a_family_show(
     problem = SimpleNamespace(
         predictor=SimpleNamespace(table=table), simulated=lambda rows: values[:, rows], unseen=np.zeros((20, 0))
     )
-    assert _true_mean_square(problem, np.arange(20), np.eye(20)) == pytest.approx(4.0, abs=5 * 4 * np.sqrt(2 / values.size))
+    assert _true_mean_square(problem, np.arange(20), factor(np.eye(20))) == pytest.approx(
+        4.0, abs=5 * 4 * np.sqrt(2 / values.size)
+    )
