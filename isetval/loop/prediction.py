@@ -336,7 +336,11 @@ class Predictor:
         keys = [self._key(task) for task in tasks]
         missing = {key: task for key, task in zip(keys, tasks, strict=True) if self._memo.get(key) is None}
         groups = list(by_shot(missing))
-        calls = [self._call(vectors_of, [missing[key] for key in group]) for group in groups]
+        asked = [[missing[key] for key in group] for group in groups]
+        wanted = [{task.of: self._wanted[task.of] for task in own} for own in asked]
+        calls = [
+            Call(vectors_of, (own, rows), self._number[own[0].of], len(own)) for own, rows in zip(asked, wanted, strict=True)
+        ]
         for i, vectors in self._runner.results(calls):
             for key, vector in zip(groups[i], vectors, strict=True):
                 self._memo.put(key, vector)

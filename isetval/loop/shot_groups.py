@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import ceil
 from typing import Any
 
 from isetval.core.cache import content_hash
@@ -10,8 +11,12 @@ from isetval.core.campaign import Shot
 from isetval.core.metric import Differences, MetricTable
 from isetval.core.scene import ChartTarget
 from isetval.loop.shot_task import ShotPart
+from isetval.measure.campaign import is_quicker_across
+from isetval.measure.conditions import VALUES_ALONE
 
 TOGETHER = 16  # differences of one shot in one call: edges are measured four times as fast in a stack as alone
+ALONE = {"chart": "patches", "scene": "patches", "edge": "edges", "dark": "flat_fields", "flat": "flat_fields"}
+"""The analysis of each role that can leave error bars away."""
 LIT_PIXELS = 30_000_000  # whose light, 240 MB, is held until a call is done
 
 
@@ -26,25 +31,34 @@ def of_one_picture(shots: Sequence[Shot]) -> dict[str, int]:
 
 
 def by_shot(tasks: Mapping[str, ShotPart]) -> Iterator[list[str]]:
-    """Keys of tasks that can be measured together: of one shot with equal choices, at most `TOGETHER`."""
+    """Keys of tasks that are done in one call, at most `TOGETHER`: of one shot with equal choices, or of several that stack."""
     groups: dict[tuple[str, str], list[str]] = {}
     for key, task in tasks.items():
         groups.setdefault((task.of, task.chosen), []).append(key)
+    stacked: list[str] = []
     for group in groups.values():
-        step = max(1, min(TOGETHER, LIT_PIXELS // tasks[group[0]].pixels))
-        for i in range(0, len(group), step):
-            yield group[i : i + step]
+        if is_quicker_across(tasks[group[0]].setup.shot):
+            stacked += group
+        else:
+            yield from _in_calls(group, tasks, TOGETHER)
+    yield from _in_calls(stacked, tasks, min(TOGETHER, ceil(len(stacked) / 2)))  # two calls at least: one for each of two workers
+
+
+def _in_calls(keys: Sequence[str], tasks: Mapping[str, ShotPart], most: int) -> Iterator[list[str]]:
+    step = max(1, min(most, LIT_PIXELS // max(tasks[key].pixels for key in keys))) if keys else 1
+    for i in range(0, len(keys), step):
+        yield list(keys[i : i + step])
 
 
 def for_differences(shot: Shot, choices: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
-    """Choices and their hash for differences: patches that clip at a point keep their rows, which else would jump.
+    """Choices and their hash for differences: values alone.
 
-    They are values alone (`isetval.measure.analyses.patches`).
+    Patches that clip at a point keep their rows, which else would jump.
     """
-    if shot.role not in ("chart", "scene") or shot.given is not None:
+    if shot.given is not None:
         return choices, content_hash(choices)
-    key = f"{shot.name}/patches"
-    through = {**choices, key: {**choices.get(key, {}), "for_differences": True}}
+    key = f"{shot.name}/{ALONE[shot.role]}"
+    through = {**choices, key: {**choices.get(key, {}), VALUES_ALONE: True}}
     return through, content_hash(through)
 
 

@@ -19,7 +19,7 @@ from isetval.core.errors import InputError
 from isetval.core.metric import Block, MetricTable
 from isetval.loop.given_side import shoot
 from isetval.loop.render_error import render_covariance
-from isetval.measure.campaign import measure_shot, measure_shots
+from isetval.measure.campaign import measure_across, measure_shot
 
 Float = NDArray[np.float64]
 WORKER_BYTES = 200_000_000  # metrics remembered in each worker: some 200,000 shots of a hundred rows
@@ -119,13 +119,13 @@ class ShotPart:
 _MEASURED = Remembered(WORKER_BYTES)
 
 
-def vectors_of(tasks: Sequence[ShotPart], rows: Rows) -> list[Float]:
-    """Values of rows for tasks of one shot; equal light and electronics are shot once per process, equal frames measured once.
+def vectors_of(tasks: Sequence[ShotPart], rows: Mapping[str, Rows]) -> list[Float]:
+    """Values of rows, by shot, for some tasks; equal light and electronics are shot once per process, equal frames measured once.
 
     Unlike the store, which knows what a shot is made from, this one knows what came out: a parameter that does not touch
     the shot costs nothing but the light or, of the electronics, the frames.
     """
-    keys = [(rows.digest, task.key_of_light(mean_electrons(task.model, task.setup))) for task in tasks]
+    keys = [(rows[task.of].digest, task.key_of_light(mean_electrons(task.model, task.setup))) for task in tasks]
     known = {key: found for key in keys if (found := _MEASURED.get(key)) is not None}
     todo = {key: task for key, task in zip(keys, tasks, strict=True) if key not in known}
     for key, vector in zip(todo, _of_frames(list(todo.values()), rows), strict=True):
@@ -134,17 +134,18 @@ def vectors_of(tasks: Sequence[ShotPart], rows: Rows) -> list[Float]:
     return [known[key] for key in keys]
 
 
-def _of_frames(tasks: Sequence[ShotPart], rows: Rows) -> Iterator[Float]:
-    """Values of rows for tasks of one shot with equal choices; of a demo's flats and darks a quarter are another's by the bit."""
+def _of_frames(tasks: Sequence[ShotPart], rows: Mapping[str, Rows]) -> Iterator[Float]:
+    """Values of rows for some tasks; of a demo's flats and darks a quarter are another's by the bit."""
     for part, captures in _shot_together(tasks):
         marks = [
-            content_hash((rows.digest, t.setup.shot.name, t.chosen, t.model.sensor, [c.mosaic for c in own]))
+            content_hash((rows[t.of].digest, t.setup.shot.name, t.chosen, t.model.sensor, [c.mosaic for c in own]))
             for t, own in zip(part, captures, strict=True)
         ]
         known = {mark: found for mark in marks if (found := _MEASURED.get(mark)) is not None}
-        todo = {mark: own for mark, own in zip(marks, captures, strict=True) if mark not in known}
-        for mark, blocks in zip(todo, _measured_alike(part[0], list(todo.values())), strict=True):
-            known[mark] = rows.values(blocks)
+        todo = {mark: (task, own) for mark, task, own in zip(marks, part, captures, strict=True) if mark not in known}
+        measured = measure_across([(task.setup.shot, own, task.choices) for task, own in todo.values()])
+        for (mark, (task, _)), blocks in zip(todo.items(), measured, strict=True):
+            known[mark] = rows[task.of].values(blocks)
             _MEASURED.put(mark, known[mark])
         yield from (known[mark] for mark in marks)
 
@@ -226,13 +227,17 @@ def render_part(tasks: Sequence[ShotPart], rows: Rows) -> Float | None:
 
 
 def blocks_of(tasks: Sequence[ShotPart]) -> list[list[Block]]:
-    """The blocks of tasks of one shot with equal choices; none where nothing of it can be measured."""
-    return [blocks for part, captures in _shot_together(tasks) for blocks in _measured_alike(part[0], captures)]
+    """The blocks of tasks; none where nothing of one can be measured."""
+    return [
+        blocks
+        for part, captures in _shot_together(tasks)
+        for blocks in measure_across([(t.setup.shot, own, t.choices) for t, own in zip(part, captures, strict=True)])
+    ]
 
 
 def _shot_together(tasks: Sequence[ShotPart]) -> Iterator[tuple[Sequence[ShotPart], list[tuple[Capture, ...]]]]:
-    """Tasks of one shot with their frames, as many at a time as are held."""
-    step = max(1, HELD_PIXELS // (tasks[0].pixels * tasks[0].setup.shot.frames)) if tasks else 1
+    """Tasks with their frames, as many at a time as are held."""
+    step = max(1, HELD_PIXELS // max(task.pixels * task.setup.shot.frames for task in tasks)) if tasks else 1
     for i in range(0, len(tasks), step):
         part = tasks[i : i + step]
         yield part, [_frames_of(task) for task in part]
@@ -248,7 +253,3 @@ def _frames_of(task: ShotPart) -> tuple[Capture, ...]:
         rounded=task.rounded,
         mirrored=task.mirrored,
     )
-
-
-def _measured_alike(task: ShotPart, captures: Sequence[tuple[Capture, ...]]) -> list[list[Block]]:
-    return measure_shots(task.setup.shot, captures, choices=task.choices) if captures else []

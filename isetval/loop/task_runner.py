@@ -18,7 +18,7 @@ from isetval.loop.telling import Counted
 from isetval.measure.works import Work, done_here
 
 IN_FLIGHT = 2  # of a worker: one that it does and one that waits beside it
-TOO_FEW = 4  # calls that are done sooner than workers start
+TOO_FEW = 4  # calls that are done sooner than workers start; one alone is done here
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +109,9 @@ class Runner:
     def results(self, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
         """Places of the calls and what they gave, as they are done."""
         total, done = sum(call.size for call in calls), 0
-        for i, result in (
-            self._here(calls) if (self.jobs == 1 and not self._far) or len(calls) < TOO_FEW else self._elsewhere(calls)
-        ):
+        alone = self.jobs == 1 and not self._far
+        few = len(calls) < (2 if self._far or self._have_begun() else TOO_FEW)
+        for i, result in self._here(calls) if alone or few else self._elsewhere(calls):
             yield i, result
             done += calls[i].size
             if self.progress is not None:

@@ -25,6 +25,8 @@ from isetval.measure.works import InTurn, Work, done, done_here, sent_or_done
 
 Progress = Callable[[str, int, int], None]
 ChoicesFor = Callable[[Shot, Sequence[Capture]], Mapping[str, Any]]
+Asked = tuple[Shot, Sequence[Capture], Mapping[str, Any]]
+"""A shot, its captures, and choices by "shot/analysis"."""
 LEVELS = ("mean", "patch_mean", "line_profile", "patch_ratio", "relative_illumination")
 """Rows that resampling leaves as they are: means, not noise."""
 HELD_PIXELS = 70_000_000  # 140 MB of frames kept for the summaries of a session; what is beyond is decoded again
@@ -286,27 +288,35 @@ def regions_read(shot: Shot) -> tuple[Roi, ...] | None:
 def measure_shots(
     shot: Shot, many: Sequence[Sequence[Capture]], *, choices: Mapping[str, Any] | None = None
 ) -> list[list[Block]]:
-    """The blocks of one shot for each of several sets of captures; none where it cannot be measured.
+    """The blocks of one shot for each of several sets of captures; none where it cannot be measured."""
+    return measure_across([(shot, captures, choices or {}) for captures in many])
 
-    The same as `measure_shot` of each.  An analysis that is quicker with many at once has ``analyze_many``, which gives
-    its block or its reason for each set.
+
+def measure_across(asked: Sequence[Asked]) -> list[list[Block]]:
+    """The blocks of several shots with their captures and choices; none where one cannot be measured.
+
+    The same as `measure_shot` of each.  An analysis that is quicker with many at once has ``analyze_across``, which gives
+    its block or its reason for each of what `analyze` is asked for.
     """
-    out: list[list[Block] | None] = [[] for _ in many]
-    given = (choices or {}).get(f"{shot.name}/given")
-    if given is not None:
-        return [_blocks_or_none(shot, captures, choices) for captures in many]
-    for module in _modules(shot):
-        own = (choices or {}).get(f"{shot.name}/{module.__name__.rsplit('.', 1)[-1]}", {})
-        several = getattr(module, "analyze_many", None)
-        left = [i for i, blocks in enumerate(out) if blocks is not None]
-        found = several(shot, [many[i] for i in left], own) if several else [_try(module, shot, many[i], own) for i in left]
-        for i, block in zip(left, found, strict=True):
+    out: list[list[Block] | None] = [_blocks_or_none(*own) if f"{own[0].name}/given" in own[2] else [] for own in asked]
+    free = [i for i, (shot, _, choices) in enumerate(asked) if f"{shot.name}/given" not in choices]
+    for module in dict.fromkeys(module for i in free for module in _modules(asked[i][0])):
+        name = module.__name__.rsplit(".", 1)[-1]
+        left = [i for i in free if out[i] is not None and module in _modules(asked[i][0])]
+        own = [(shot, captures, choices.get(f"{shot.name}/{name}", {})) for shot, captures, choices in (asked[i] for i in left)]
+        across = getattr(module, "analyze_across", None)
+        for i, block in zip(left, across(own) if across else [_try(module, *one) for one in own], strict=True):
             blocks = out[i]
             if isinstance(block, InputError):
                 out[i] = None
-            elif blocks is not None and (kept := _kept(shot, block)).metrics:
+            elif blocks is not None and (kept := _kept(asked[i][0], block)).metrics:
                 blocks.append(kept)
     return [blocks or [] for blocks in out]
+
+
+def is_quicker_across(shot: Shot) -> bool:
+    """Whether an analysis of the shot is quicker with several shots at once."""
+    return any(hasattr(module, "analyze_across") for module in _modules(shot))
 
 
 def _try(module: ModuleType, shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block | InputError:
@@ -317,7 +327,7 @@ def _try(module: ModuleType, shot: Shot, captures: Sequence[Capture], choices: M
     return block
 
 
-def _blocks_or_none(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any] | None) -> list[Block]:
+def _blocks_or_none(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> list[Block]:
     try:
         return [block for _, block in measure_shot(shot, captures, choices=choices)]
     except InputError:

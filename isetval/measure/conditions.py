@@ -9,6 +9,9 @@ from isetval.core.capture import field_mm
 from isetval.core.metric import Metric
 from isetval.core.sensor import Sensor
 
+VALUES_ALONE = "for_differences"
+"""Among the choices for an analysis: a simulation follows a fit, and asks for the rows' values without their error bars."""
+
 
 def shot_conditions(shot: Shot, sensor: Sensor) -> dict[str, Any]:
     """Fields of `Metric` that are the same for all metrics of a shot."""

@@ -137,10 +137,8 @@ def test_equal_frames_are_measured_once_and_give_what_each_alone_gives(model, pl
     predictor = Predictor(plan, table)
     points = [Point(model), *(Point(model.with_values({"quantization.step_dn": step})) for step in (0.5, 0.25, 1.0))]
     counted = []
-    true = shot_task.measure_shots
-    monkeypatch.setattr(
-        shot_task, "measure_shots", lambda shot, many, **more: counted.append(len(many)) or true(shot, many, **more)
-    )
+    true = shot_task.measure_across
+    monkeypatch.setattr(shot_task, "measure_across", lambda asked: counted.append(len(asked)) or true(asked))
     vectors = predictor.derivative_vectors(points)
     parts = [predictor.parts(p, 101, derivative=True) for p in points]
     alone = [[predictor._wanted[t.of].values(shot_task.blocks_of([t])[0]) for t in own] for own in parts]

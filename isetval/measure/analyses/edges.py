@@ -15,7 +15,7 @@ from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError, MeasurementError
 from isetval.core.metric import Block, Differences, Metric
-from isetval.measure.conditions import metric, shot_conditions
+from isetval.measure.conditions import VALUES_ALONE, metric, shot_conditions
 from isetval.measure.edge import SfrResult, sfr_batch
 
 ROLES = ("edge",)
@@ -37,6 +37,8 @@ SHADED = 10.0  # times the amplitude of shading: one step of the grid of amplitu
 # Frames without noise have a sigma of 0 or nearly: these keep weights finite and lie far below anything that is seen
 LEAST_SIGMA_MTF, LEAST_SIGMA_DN, LEAST_SIGMA_PX = 1e-7, 1e-4, 1e-5
 Float = NDArray[np.float64]
+Asked = tuple[Shot, Sequence[Capture], Mapping[str, Any]]
+"""A shot, its captures, and the choices for it."""
 
 
 @dataclass(frozen=True)
@@ -52,22 +54,23 @@ class _Place:
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
     """SFR and levels of an edge, mean over the frames.
 
+    Values alone, without error bars, where ``choices`` ask ``for_differences``.
+
     Raises
     ------
     MeasurementError
         If the edge is refused in every colour, with the reasons.
     """
-    (found,) = analyze_many(shot, [captures], choices)
+    (found,) = analyze_across([(shot, captures, choices)])
     if isinstance(found, InputError):
         raise found
     return found
 
 
-def analyze_many(shot: Shot, many: Sequence[Sequence[Capture]], choices: Mapping[str, Any]) -> list[Block | InputError]:
-    """`analyze` of several sets of captures; with ``choices`` all regions of a colour are fitted in one stack."""
-    channels = _channels(shot, many[0][0])
-    results = {channel: _results(shot, many, channel, choices.get(channel)) for channel in channels}
-    return [_block(shot, captures[0], {c: results[c][i] for c in channels}, choices) for i, captures in enumerate(many)]
+def analyze_across(asked: Sequence[Asked]) -> list[Block | InputError]:
+    """`analyze` of several shots; regions of all shots and colours whose grids are alike are fitted in one stack."""
+    results = _results(asked)
+    return [_block(*own, found) for own, found in zip(asked, results, strict=True)]
 
 
 def _channels(shot: Shot, capture: Capture) -> tuple[str, ...]:
@@ -80,7 +83,7 @@ def holds(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -
     They do where the first frame's ESFs are of about the same width and most colours see an edge that is no more bent and
     no more shaded (noise alone adds an order to one of three now and then).
     """
-    first = _first_choices(shot, captures[0])
+    (first,) = _first_choices(shot, captures[:1])
     if set(first) != set(choices):
         return False
     pairs = [(own, choices[channel]) for channel, own in first.items()]
@@ -96,7 +99,7 @@ def agreed(shot: Shot, many: Sequence[Sequence[Capture]]) -> dict[str, Mapping[s
     Medians, but of shading the most that any was found to need: by its noise one capture needs a hundred times less than the
     others, and what is chosen for it would not hold for them.
     """
-    firsts = [_first_choices(shot, captures[0]) for captures in many]
+    firsts = _first_choices(shot, [captures[0] for captures in many])
     return {channel: _middle([made[channel] for made in firsts if channel in made]) for channel in firsts[0]}
 
 
@@ -104,36 +107,64 @@ def _middle(many: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {key: (max if key == "light" else median_low)([made[key] for made in many]) for key in many[0]}
 
 
-def _first_choices(shot: Shot, capture: Capture) -> dict[str, Mapping[str, Any]]:
-    results = {channel: _results(shot, [[capture]], channel, None)[0][0] for channel in _channels(shot, capture)}
-    return {channel: result.choices for channel, result in results.items() if result.accepted}
+def _first_choices(shot: Shot, captures: Sequence[Capture]) -> list[dict[str, Mapping[str, Any]]]:
+    """What each capture chooses, by colour."""
+    every = _results([(shot, [capture], {}) for capture in captures])
+    return [{channel: own.choices for channel, (own,) in results.items() if own.accepted} for results in every]
 
 
-def _results(
-    shot: Shot, many: Sequence[Sequence[Capture]], channel: str, known: Mapping[str, Any] | None
-) -> list[list[SfrResult]]:
-    """Results of the frames of each set; of the first frame alone where it is refused and nothing is known."""
-    roi, plane, method = getattr(shot.target, "roi", None), "G" if channel == "MONO" else channel, shot.method or "default"
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """A frame of an edge in one colour, and what is chosen for it."""
 
-    def measured(captures: Sequence[Capture], made: Mapping[str, Any] | None) -> list[SfrResult]:
-        found: list[SfrResult] = sfr_batch(captures, [roi] * len(captures), plane, method=method, choices=made)
-        return found
+    shot: Shot
+    channel: str
+    capture: Capture
+    choices: Mapping[str, Any] | None
 
-    if known:
-        every = iter(measured([capture for captures in many for capture in captures], known))
-        return [[next(every) for _ in captures] for captures in many]
-    out = []
-    for captures in many:  # the first frame makes the choices for the others
-        first = measured(captures[:1], None)
-        rest = captures[1:] if first[0].accepted else ()
-        out.append([*first, *measured(rest, first[0].choices)] if rest else first)
+
+def _results(asked: Sequence[Asked]) -> list[dict[str, list[SfrResult]]]:
+    """Results of the frames of each shot by colour; of the first frame alone where it is refused and nothing is known."""
+    each = [(i, channel) for i, (shot, captures, _) in enumerate(asked) for channel in _channels(shot, captures[0])]
+    open_ = [(i, channel) for i, channel in each if not asked[i][2].get(channel)]
+    # the first frame makes the choices for the others
+    firsts = dict(zip(open_, _measured([_Region(asked[i][0], c, asked[i][1][0], None) for i, c in open_]), strict=True))
+    more: list[tuple[int, str, _Region]] = []
+    for i, channel in each:
+        shot, captures, choices = asked[i]
+        first = firsts.get((i, channel))
+        known = choices.get(channel) if first is None else first.choices
+        left = captures if first is None else captures[1:] if first.accepted else ()
+        more += [(i, channel, _Region(shot, channel, capture, known)) for capture in left]
+    out: list[dict[str, list[SfrResult]]] = [{} for _ in asked]
+    for i, channel in each:
+        out[i][channel] = [firsts[i, channel]] if (i, channel) in firsts else []
+    for (i, channel, _), result in zip(more, _measured([region for *_, region in more]), strict=True):
+        out[i][channel].append(result)
     return out
 
 
+def _measured(regions: Sequence[_Region]) -> list[SfrResult]:
+    """The edge in each region, by the method of its shot."""
+    out: dict[int, SfrResult] = {}
+    for method in dict.fromkeys(region.shot.method for region in regions):
+        own = [i for i, region in enumerate(regions) if region.shot.method == method]
+        found = sfr_batch(
+            [regions[i].capture for i in own],
+            [getattr(regions[i].shot.target, "roi", None) for i in own],
+            ["G" if regions[i].channel == "MONO" else regions[i].channel for i in own],
+            method=method or "default",
+            choices=[regions[i].choices for i in own],
+        )
+        out |= dict(zip(own, found, strict=True))
+    return [out[i] for i in range(len(regions))]
+
+
 def _block(
-    shot: Shot, capture: Capture, results: Mapping[str, Sequence[SfrResult]], choices: Mapping[str, Any]
+    shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any], results: Mapping[str, Sequence[SfrResult]]
 ) -> Block | InputError:
-    conditions = shot_conditions(shot, capture.sensor) | {"orientation": getattr(shot.target, "orientation", "")}
+    values_alone = bool(choices.get(VALUES_ALONE))
+    conditions = shot_conditions(shot, captures[0].sensor) | {"orientation": getattr(shot.target, "orientation", "")}
     made: dict[str, Any] = {}
     rows: list[Metric] = []
     blocks: list[Float] = []
@@ -144,14 +175,15 @@ def _block(
             reasons.append(f"{channel}: {', '.join(every[0].messages.values()) or ', '.join(every[0].flags)}")
             continue
         made[channel] = choices.get(channel) or dict(every[0].choices)
-        new, correlation, places[channel] = _channel(conditions, channel, [r for r in every if r.accepted])
+        accepted = [r for r in every if r.accepted]
+        new, correlation, places[channel] = (_values if values_alone else _channel)(conditions, channel, accepted)
         rows += new
         blocks.append(correlation)
     if not rows:
         return MeasurementError(f"no edge can be measured ({'; '.join(reasons)})")
     shifts, between = _lateral_color(conditions, places)
-    correlation = block_diagonal([*blocks, between])
-    return Block((*rows, *shifts), correlation, choices=made, differences=Differences(one_frame=True, noise_free=True))
+    joint = None if values_alone else block_diagonal([*blocks, between])
+    return Block((*rows, *shifts), joint, choices=made, differences=Differences(one_frame=True, noise_free=True))
 
 
 def _channel(conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]) -> tuple[list[Metric], Float, _Place]:
@@ -174,9 +206,28 @@ def _channel(conditions: dict[str, Any], channel: str, results: Sequence[SfrResu
     correlation[:k, :k] = (1 - ROUGHNESS) * covariance / np.outer(sigma, sigma)
     correlation[k : k + len(levels), k : k + len(levels)] = between
     np.fill_diagonal(correlation, 1.0)
+    return rows, correlation, _place(results)
+
+
+def _values(conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]) -> tuple[list[Metric], Float, _Place]:
+    """The rows of `_channel` that simulations are compared in, without error bars."""
+    mtf = np.mean([r.mtf_at(FREQUENCY_CY_PX) for r in results], axis=0)
+    rows = [
+        metric(conditions, "mtf", value, 0.0, "1", channel=channel, frequency_cy_px=round(float(f), 4))
+        for f, value in zip(FREQUENCY_CY_PX, mtf, strict=True)
+    ]
+    if results[0].method == "default":
+        levels = np.mean([(r.dark_dn, r.bright_dn) for r in results], axis=0).tolist()
+        rows += [
+            metric(conditions, f"edge_{name}_level", value, 0.0, "DN", channel=channel)
+            for name, value in zip(("dark", "bright"), levels, strict=True)
+        ]
+    return rows, np.zeros((0, 0)), _place(results)
+
+
+def _place(results: Sequence[SfrResult]) -> _Place:
     row, col = np.mean([(r.edge_row_px, r.edge_col_px) for r in results], axis=0).tolist()
-    place = _Place(row, col, results[0].normal_deg, math.sqrt(np.mean([r.edge_sigma_px**2 for r in results]) / n))
-    return rows, correlation, place
+    return _Place(row, col, results[0].normal_deg, math.sqrt(np.mean([r.edge_sigma_px**2 for r in results]) / len(results)))
 
 
 def _levels(conditions: dict[str, Any], channel: str, results: Sequence[SfrResult]) -> tuple[list[Metric], Float]:

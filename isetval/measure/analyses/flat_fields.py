@@ -15,7 +15,7 @@ from isetval.core.campaign import Shot
 from isetval.core.capture import Capture, plane_view
 from isetval.core.metric import Block, Differences, Metric
 from isetval.core.quantity import Quantity
-from isetval.measure.conditions import metric, shot_conditions, window_label
+from isetval.measure.conditions import VALUES_ALONE, metric, shot_conditions, window_label
 from isetval.measure.noise.code_counts import code_counts
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics, frame_drift, tilt_power
 
@@ -51,7 +51,11 @@ noisy as well; noisy pixels are partly chance; pixels that a particle struck are
 
 
 def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any]) -> Block:
-    """Statistics of all frames of one dark or flat shot; nothing is chosen from the data."""
+    """Statistics of all frames of one dark or flat shot; nothing is chosen from the data.
+
+    Values alone, without error bars, where ``choices`` ask ``for_differences``.
+    """
+    values_alone = bool(choices.get(VALUES_ALONE))
     captures = tuple(captures)  # a long series decodes a file at every access
     statistics = (dark_statistics if shot.role == "dark" else flat_statistics)(captures, codes=False)
     conditions = shot_conditions(shot, captures[0].sensor)
@@ -83,7 +87,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
                 continue
             here.append(len(rows))
             there.append(names.index(key))
-            for label, part in _specimen_loadings(shot, lines, plane_statistics, key).items():
+            for label, part in () if values_alone else _specimen_loadings(shot, lines, plane_statistics, key).items():
                 shared.setdefault(label, []).append((len(rows), part))
             region = key.removeprefix("gradient_").removesuffix("_dn") if name == "gradient" else ""
             rows.append(
@@ -108,12 +112,15 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         for row, of_specimen in _pattern_neighbors(shot, conditions, [statistics[plane] for plane in planes]):
             shared.setdefault(f"{shot.role}:pattern:{row.region}:{window_label(shot)}", []).append((len(rows), of_specimen))
             rows.append(row)
+    differences = Differences(draws=DRAWS[shot.role])
+    if values_alone:
+        return Block(tuple(rows), differences=differences)
     correlation = np.eye(len(rows))
     for plane, here, there in links:
         correlation[np.ix_(here, here)] = statistics[plane].correlation[np.ix_(there, there)]
     _share_row_noise(correlation, rows, captures[0], statistics)
     columns = {label: _column(entries, len(rows)) for label, entries in shared.items()}
-    return Block(tuple(rows), correlation, columns, differences=Differences(draws=DRAWS[shot.role]))
+    return Block(tuple(rows), correlation, columns, differences=differences)
 
 
 def _share_row_noise(

@@ -14,7 +14,7 @@ from isetval.core.errors import MeasurementError
 from isetval.core.metric import Block, Differences, Metric
 from isetval.core.sensor import Roi
 from isetval.measure.color import line_profile, patches_over_frames
-from isetval.measure.conditions import metric, shot_conditions, window_label
+from isetval.measure.conditions import VALUES_ALONE, metric, shot_conditions, window_label
 
 ROLES = ("chart", "scene")
 GIVES = ("patch_mean", "line_profile")
@@ -41,7 +41,7 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
         If the target has neither patches nor lines, or all of them are clipped.
     """
     conditions = shot_conditions(shot, captures[0].sensor)
-    found = _patch_rows(shot, captures, conditions, for_differences=bool(choices.get("for_differences")))
+    found = _patch_rows(shot, captures, conditions, for_differences=bool(choices.get(VALUES_ALONE)))
     for line in getattr(shot.target, "lines", ()):
         found += _line_rows(line, shot, captures, conditions)
     if not found and getattr(shot.target, "disks", None) and not reads(shot):

@@ -7,7 +7,6 @@ One round: refine the lines on the samples near them (``line_refinement``), fit 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -15,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isetval.core.errors import InputError
 from isetval.measure.edge import spline_bins
+from isetval.measure.edge.choices import Choices
 from isetval.measure.edge.esf_fit import EsfFits, fit_esf
-from isetval.measure.edge.esf_prior import tabulated, width_index, width_of
+from isetval.measure.edge.esf_prior import tabulated, width_index
 from isetval.measure.edge.first_look import FirstLooks, thinning
-from isetval.measure.edge.geometry import MAX_ORDER, EdgeLines, Index, PerRegion, RowPolynomials, Stack, clip, distances
+from isetval.measure.edge.geometry import EdgeLines, Index, PerRegion, RowPolynomials, Stack, clip, distances
 from isetval.measure.edge.illumination import AlongFit, SideNoise, fit_along, illumination_at
 from isetval.measure.edge.line_refinement import mean_shapes, refine_lines, rounding_error
 from isetval.measure.edge.row_shifts import Shapes, core_of, core_view, grid, row_shifts, update_lines
@@ -37,7 +36,6 @@ MODEL_ERROR = 2e-5  # of the step: what splines leave of clean edges (pull of cl
 UNDITHERED = 0.01  # share of the rounding variance below which cells need not be counted (saves time); no effect
 ALONG_DONE, ACROSS_DONE = 0.0005, 0.0007  # of the illumination: .01 % of MTF50 of clean shaded edges; no effect
 PLAIN_LIGHT = 0.02  # illumination below it is not fitted twice in the first round (saves time); .04 % of MTF50 at SNR 22
-NOISE = ("dark_dn2", "bright_dn2")  # among choices: variances of a sample on both sides, by which samples are weighted
 MAX_SHADING = 0.8  # keeps the illumination above 0 within the region (1 - .8 at its rim); no effect
 
 
@@ -109,30 +107,6 @@ class FittedEdges(PerRegion):
         }
 
 
-def checked_choices(choices: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Choices of another result as plain numbers.
-
-    Raises
-    ------
-    InputError
-        For names or values that no result has.
-    """
-    given = dict(choices or {})
-    kinds = {"order": int, "width_index": int, **dict.fromkeys(("even", "odd", "light", *NOISE), float)}
-    try:
-        out = {name: kinds[name](value) for name, value in given.items()}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"choices are {given!r}; they need {', '.join(kinds)} of another result") from error
-    if not 1 <= out.get("order", 1) <= MAX_ORDER:
-        raise InputError(f"choices ask for order {out['order']}; it needs 1 to {MAX_ORDER}")
-    if {"even", "odd", "light"} & out.keys() and not {"even", "odd", "light"} <= out.keys():
-        raise InputError("choices hold some of even, odd and light; they need all three or none")
-    noise = [out[name] for name in NOISE if name in out]
-    if len(noise) == 1 or not all(0 < value < np.inf for value in noise):
-        raise InputError(f"choices hold variances {noise} of {' and '.join(NOISE)}; they need both above 0, or none")
-    return out
-
-
 @dataclass(frozen=True, eq=False)
 class _Task(PerRegion):
     """What stays the same while a stack is fitted."""
@@ -142,16 +116,12 @@ class _Task(PerRegion):
     thin: int
     bright: Float
     floor: float
-    chosen: dict[str, Any]
+    chosen: Choices
 
     @property
     def half_px(self) -> float:
         rows, n = self.stack.values.shape[1:]
         return float(0.5 * max(self.stack.step_px * n, self.stack.row_step_px * rows))
-
-    @property
-    def order(self) -> int | None:
-        return self.chosen.get("order")
 
     def weights(self, found: SideNoise) -> SideNoise:
         """The noise by which samples are weighted: the chosen one, else that which was found.
@@ -159,9 +129,7 @@ class _Task(PerRegion):
         The prior of an ESF draws the harder the noisier samples are said to be: levels of frames without noise answered to the
         flare of a coma by four times what noisy ones do.  With the same weights both answer alike.
         """
-        if NOISE[0] not in self.chosen:
-            return found
-        return SideNoise(*(np.full(len(self.bright), self.chosen[name]) for name in NOISE))
+        return self.chosen.noise or found
 
     def along(self, lines: EdgeLines, illumination: Float, width_px: Float) -> AlongFit:
         some = self.stack.every(self.thin)
@@ -196,7 +164,7 @@ class _FullFit(PerRegion):
 
 
 def measure_edges(
-    stack: Stack, looks: FirstLooks, width_px: Float, *, floor: float, choices: Mapping[str, Any] | None = None
+    stack: Stack, looks: FirstLooks, width_px: Float, *, floor: float, choices: Choices | None = None
 ) -> list[FittedEdges]:
     """Fit lines, illumination, noise and ESF of every region; those that rested together come together.
 
@@ -208,13 +176,13 @@ def measure_edges(
         First widths.
     floor : float
         Least variance of a sample, DN^2 (rounding).
-    choices : mapping or None
-        Order, width, amplitudes and noise chosen on another capture.
+    choices : Choices or None
+        Order, width, amplitudes and noise chosen on other captures.
     """
-    chosen = dict(choices or {})
+    chosen = choices or Choices()
     lines = looks.lines
-    if chosen.get("order") is not None:
-        top = np.minimum(lines.order, chosen["order"])
+    if chosen.order is not None:
+        top = np.minimum(lines.order, chosen.order)
         lines = lines.moved(np.where(np.arange(lines.coefficients.shape[1]) <= top[:, None], lines.coefficients, 0.0), top)
     task = _Task(stack, looks.p, thinning(stack), looks.bright, floor, chosen)
     along = task.along(lines, np.zeros((len(stack), 5)), width_px)
@@ -254,7 +222,7 @@ def _refined(task: _Task, state: _State) -> _State:
         half_px=task.half_px,
         noise=task.weights(state.sides),
         floor=task.floor,
-        order=task.order,
+        order=task.chosen.order,
     )
     return _State(found.lines, state.illumination, state.along, found.shapes.stretched(tabulated(found.width_px)))
 
@@ -281,9 +249,8 @@ def _illumination_rests(task: _Task, before: Float, after: Float, full: _FullFit
 
 def _full_fit(task: _Task, state: _State) -> _FullFit:
     """The ESFs from all samples."""
-    shapes, width = state.shapes, state.shapes.width_px
-    if "width_index" in task.chosen:
-        width = np.full(len(width), width_of(int(task.chosen["width_index"])))
+    shapes = state.shapes
+    width = shapes.width_px if task.chosen.width_px is None else task.chosen.width_px
     distance = distances(task.stack, state.lines, task.p)
     light = illumination_at(task.stack, state.lines, state.illumination, task.half_px)
     binned = bin_samples(np.divide(task.stack.values, light, out=light), distance, width)
@@ -306,7 +273,7 @@ def _full_fit(task: _Task, state: _State) -> _FullFit:
         scale=shapes.step,
         # illumination across the edge that was already divided out must not be held against the rest
         lit=np.asarray(state.illumination[:, 3:].any(axis=1)),
-        choices=task.chosen,
+        amplitudes=task.chosen.amplitudes,
     )
     return _FullFit(fits, esf_tables(fits), found, noise, binned, distance)
 
@@ -346,8 +313,7 @@ def _polish(task: _Task, state: _State, full: _FullFit, places: Index, out: list
         core = core_of(task.stack, state.lines, task.p, shapes.width_px)
         view = core_view(task.stack, core, state.lines, task.p, illumination=state.illumination, half_px=task.half_px)
         shifts = row_shifts(core, view, shapes, full.weights)
-        orders = None if task.order is None else np.full(len(places), task.order)
-        new, row_chi2 = update_lines(state.lines, task.p, shifts, order=orders)
+        new, row_chi2 = update_lines(state.lines, task.p, shifts, order=task.chosen.order)
         moved = np.abs(new.coefficients - state.lines.coefficients).max(axis=1)
         sigma = 1 / np.sqrt(np.maximum(shifts.information, 1e-9))
         enough = LINE_DONE_PX + LINE_DONE_SIGMA * sigma

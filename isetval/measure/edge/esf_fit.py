@@ -5,7 +5,6 @@ Columns as in ``esf_prior``; in the matrices the data come last.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,7 +15,7 @@ from scipy.linalg import lapack
 
 from isetval.measure.edge import esf_prior
 from isetval.measure.edge.geometry import PerRegion
-from isetval.measure.edge.marginal_likelihood import best_amplitudes
+from isetval.measure.edge.marginal_likelihood import Amplitudes, best_amplitudes
 from isetval.measure.edge.spline_bins import Binned
 
 Float = NDArray[np.floating[Any]]
@@ -145,14 +144,14 @@ def fit_esf(
     shading: tuple[Float, Float],
     scale: Float,
     lit: NDArray[np.bool_],
-    choices: Mapping[str, Any] | None = None,
+    amplitudes: Amplitudes | None = None,
 ) -> EsfFits:
     """Fit the ESFs to binned samples; ``lit`` (regions,): illumination across the edge was divided out already.
 
-    ``choices``: ``even``, ``odd`` and ``light`` amplitudes to use instead of choosing them.
+    ``amplitudes`` are to be used instead of choosing them.
     """
     equations = normal_equations(binned, variance, shading=shading, scale=scale)
-    chosen, lower, root = best_amplitudes(equations.matrix, lit, choices)
+    chosen, lower, root = best_amplitudes(equations.matrix, lit, amplitudes)
     half = lower[:, -1, :-1]
     solved = np.stack([lapack.dtrtrs(m[:-1, :-1].T, h, lower=0)[0] for m, h in zip(lower, half, strict=True)])
     coefficients = root * solved

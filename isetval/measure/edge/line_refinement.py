@@ -96,7 +96,7 @@ def refine_lines(
     half_px: float,
     noise: SideNoise,
     floor: float,
-    order: int | None,
+    order: Index | None,
 ) -> RefinedLines:
     """Refine the lines, starting from ``shapes`` (their widths are the first ones), as far as samples of this ``noise`` tell."""
     noise = SideNoise(np.maximum(noise.dark, floor), np.maximum(noise.bright, floor))
@@ -118,19 +118,18 @@ class _Refinement(PerRegion):
     half_px: float
     noise: SideNoise
     common: Float
-    order: int | None
+    order: Index | None
 
     def run(self, start: _LinesAndShapes, turn: int = 0) -> tuple[EdgeLines, Shapes]:
         """Turn after turn; regions that rest leave the stack."""
         here = start
         core = core_of(self.stack, here.anchor, self.p, here.core_px)
-        orders = None if self.order is None else np.full(len(self.common), self.order)
         while True:
             lines, shapes = here.lines, here.shapes
             view = core_view(self.stack, core, lines, self.p, illumination=self.illumination, half_px=self.half_px)
             found = few_mode_shapes(core, view.values, view.distance, before=shapes, noise=self.noise, common=self.common)
             shifts = row_shifts(core, view, found, self.noise)
-            new, _ = update_lines(lines, self.p, shifts, order=orders)
+            new, _ = update_lines(lines, self.p, shifts, order=self.order)
             center, width = found.center_and_width()
             new = shifted(new, center)
             moved = np.abs(new.coefficients - lines.coefficients).max(axis=1)

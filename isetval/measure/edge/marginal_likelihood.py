@@ -6,7 +6,6 @@ needs the factor of the rest only: rescaling the prior of some columns rescales 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.measure.edge.esf_prior import shape_prior
+from isetval.measure.edge.geometry import PerRegion
 
 Float = NDArray[np.floating[Any]]
 
@@ -31,7 +31,7 @@ SHADING_ROOT = (0.6, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
-class Amplitudes:
+class Amplitudes(PerRegion):
     """Amplitudes of the symmetric and antisymmetric deviations and scale of the shading's prior, (regions,)."""
 
     even: Float
@@ -39,9 +39,7 @@ class Amplitudes:
     light: Float
 
 
-def best_amplitudes(
-    matrix: Float, lit: NDArray[np.bool_], choices: Mapping[str, Any] | None = None
-) -> tuple[Amplitudes, Float, Float]:
+def best_amplitudes(matrix: Float, lit: NDArray[np.bool_], chosen: Amplitudes | None = None) -> tuple[Amplitudes, Float, Float]:
     """Amplitudes of largest marginal likelihood: symmetric and shading together, then antisymmetric.
 
     Parameters
@@ -50,16 +48,15 @@ def best_amplitudes(
         Normal equations without prior, data last.
     lit : (regions,)
         Where the widest prior of the shading is to be kept.
-    choices : mapping or None
-        ``even``, ``odd`` and ``light`` to use instead.
+    chosen : Amplitudes or None
+        Those to use instead.
 
     Returns
     -------
     amplitudes, Cholesky factors of I + R G R with the data as the last row, and R's diagonals.
     """
     b = len(matrix)
-    if choices is not None and "even" in choices:
-        chosen = Amplitudes(*(np.full(b, float(choices[name])) for name in ("even", "odd", "light")))
+    if chosen is not None:
         root = _prior_roots(chosen)
         return chosen, _cholesky(_scaled(matrix, root)), root
     first = Amplitudes(np.full(b, EVEN_GRID[FIRST]), np.full(b, ODD_GRID[FIRST]), np.full(b, LIGHTS[0]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ from isetval.core.capture import Capture, check_roi
 from isetval.core.errors import InputError
 from isetval.core.sensor import RoiLike
 from isetval.core.threads import one_blas_thread
-from isetval.measure.edge.alternating_fit import FittedEdges, checked_choices, measure_edges
+from isetval.measure.edge.alternating_fit import FittedEdges, measure_edges
+from isetval.measure.edge.choices import Choices, checked_choices
 from isetval.measure.edge.clipped_tails import STEPS, cut_tails, restored
 from isetval.measure.edge.first_look import FirstLooks, first_look, first_width, prospects
 from isetval.measure.edge.geometry import Stack, same_grid, stacked
@@ -79,34 +80,47 @@ def sfr(
 def sfr_batch(
     captures: Capture | Sequence[Capture],
     rois: Sequence[RoiLike | None],
-    channel: str = "G",
+    channel: str | Sequence[str] = "G",
     *,
     method: str = "default",
-    choices: Mapping[str, Any] | None = None,
+    choices: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None = None,
     oecf: Oecf = None,
 ) -> list[SfrResult]:
-    """``sfr`` of many regions: of one capture, or of as many captures as regions.
+    """``sfr`` of many regions: of one capture or of as many as regions, likewise channels and choices.
+
+    Regions whose grids of samples are alike are measured together, a red and a blue one too: sixteen in half of the time of
+    four calls of four.
 
     Raises
     ------
     InputError
-        When the numbers of captures and regions differ.
+        When the numbers of captures, channels or choices and of regions differ.
     """
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
     if not hasattr(rois, "__len__"):
         raise InputError(f"rois is a {type(rois).__name__}; it needs a list of regions, None for a whole capture")
-    many = [captures] * len(rois) if not isinstance(captures, Sequence) else list(captures)
-    choices = checked_choices(choices)
-    if len(many) != len(rois):
-        raise InputError(f"{len(many)} captures and {len(rois)} regions; give one capture, or one for each region")
-    jobs = [_job(c, r, channel, i, oecf) for i, (c, r) in enumerate(zip(many, rois, strict=True))]
+    many = _each("capture", captures, rois)
+    channels = _each("channel", [channel] * len(rois) if isinstance(channel, str) else channel, rois)
+    chosen = [checked_choices(own) for own in _each("choices", choices, rois)]
+    asked = zip(many, rois, channels, chosen, strict=True)
+    jobs = [_job(c, r, k, i, oecf, own) for i, (c, r, k, own) in enumerate(asked)]
     if method != "default":
         return [compatibility_sfr(job.capture, job.roi, channel=job.channel, method=method, oecf=oecf) for job in jobs]
     out: dict[int, SfrResult] = {}
     for group in _groups([_sampled(job) for job in jobs], out):
-        _measure(group, out, choices)
+        _measure(group, out)
     return [out[i] for i in range(len(jobs))]
+
+
+def _each(what: str, given: Any, rois: Sequence[RoiLike | None]) -> list[Any]:
+    """One for each region: what is given for all of them, or as many."""
+    if not isinstance(given, Sequence):
+        return [given] * len(rois)
+    if len(given) != len(rois):
+        word = what if what.endswith("s") else f"{what}s"
+        raise InputError(f"{len(given)} {word} and {len(rois)} regions; give one {what}, or one for each region")
+    return list(given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +131,10 @@ class _Job(Request):
     samples: Samples | None = None
     turned: bool = False
     refusal: Mapping[str, str] | None = None
+    choices: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _job(capture: Capture, roi: RoiLike | None, channel: str, index: int, oecf: Oecf) -> _Job:
+def _job(capture: Capture, roi: RoiLike | None, channel: str, index: int, oecf: Oecf, choices: Mapping[str, Any]) -> _Job:
     if not isinstance(capture, Capture):
         raise InputError(f"sfr needs a Capture, not {type(capture).__name__}; see Capture.from_array")
     try:
@@ -128,7 +143,7 @@ def _job(capture: Capture, roi: RoiLike | None, channel: str, index: int, oecf: 
         raise
     except (TypeError, ValueError) as error:
         raise InputError(f"roi is {roi!r}; it needs four whole numbers (row0, row1, col0, col1), half open") from error
-    return _Job(capture, box, check_channel(capture, channel), oecf, index)
+    return _Job(capture, box, check_channel(capture, channel), oecf, index, choices=choices)
 
 
 def _sampled(job: _Job) -> _Job:
@@ -143,13 +158,16 @@ def _sampled(job: _Job) -> _Job:
 
 
 def _groups(jobs: Sequence[_Job], out: dict[int, SfrResult]) -> list[list[_Job]]:
-    """Jobs with equal grids, few enough at a time to stay in the processor's cache; refused ones go to ``out``."""
+    """Jobs with equal grids and the same names chosen, few enough at a time to stay in the processor's cache.
+
+    Refused ones go to ``out``.
+    """
     kinds: dict[Any, list[_Job]] = {}
     for job in jobs:
         if job.refusal is not None or job.samples is None:
             out[job.index] = refused(job.capture, job.roi, channel=job.channel, flags=job.refusal or {})
         else:
-            kinds.setdefault(same_grid(job.samples), []).append(job)
+            kinds.setdefault((same_grid(job.samples), *sorted(job.choices)), []).append(job)
     groups = []
     for same in kinds.values():
         n = max(1, STACKED_SAMPLES // _samples_of(same[0]).values.size)
@@ -162,7 +180,7 @@ def _samples_of(job: _Job) -> Samples:
     return job.samples
 
 
-def _measure(jobs: list[_Job], out: dict[int, SfrResult], choices: Mapping[str, Any] | None) -> None:
+def _measure(jobs: list[_Job], out: dict[int, SfrResult]) -> None:
     """Measure jobs with equal grids."""
     stack = stacked([_samples_of(job) for job in jobs])
     looks = first_look(stack)
@@ -170,7 +188,7 @@ def _measure(jobs: list[_Job], out: dict[int, SfrResult], choices: Mapping[str, 
     if steep.any():
         turned = [_turned(jobs[i]) for i in np.flatnonzero(steep)]
         for group in _groups(turned, out):
-            _measure(group, out, choices)
+            _measure(group, out)
         keep = np.flatnonzero(~steep)
         jobs, stack, looks = [jobs[i] for i in keep], stack.pick(keep), looks.pick(keep)
     if not jobs:
@@ -186,7 +204,7 @@ def _measure(jobs: list[_Job], out: dict[int, SfrResult], choices: Mapping[str, 
         jobs, stack, looks = [jobs[i] for i in good], stack.pick(good), looks.pick(good)
     if not jobs:
         return
-    for fitted in _fitted(stack, looks, width[good], choices):
+    for fitted in _fitted(stack, looks, width[good], Choices.of([job.choices for job in jobs])):
         places = fitted.places
         seen = Seen((looks.bright - looks.dark)[places], before.noise_dn[good[places]])
         asked = [jobs[i] for i in places]
@@ -203,7 +221,7 @@ def _turned(job: _Job) -> _Job:
     return replace(job, samples=linearised(samples, job.capture, job.oecf), turned=True)
 
 
-def _fitted(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None) -> list[FittedEdges]:
+def _fitted(stack: Stack, looks: FirstLooks, width_px: Float, choices: Choices) -> list[FittedEdges]:
     """Fitted edges; those whose noise is cut off at white are fitted again with what was cut off."""
     out = []
     for fitted in _fitted_as_is(stack, looks, width_px, choices):
@@ -214,22 +232,20 @@ def _fitted(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[s
     return out
 
 
-def _fitted_with_tails(
-    fitted: FittedEdges, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None
-) -> list[FittedEdges]:
+def _fitted_with_tails(fitted: FittedEdges, looks: FirstLooks, width_px: Float, choices: Choices) -> list[FittedEdges]:
     """The fits again, with samples restored from the fits before."""
     todo = [fitted]
     for _ in range(STEPS):
         done = []
         for part in todo:
             asked = part.places
-            for new in _fitted_as_is(restored(part), looks.pick(asked), width_px[asked], choices):
+            for new in _fitted_as_is(restored(part), looks.pick(asked), width_px[asked], choices.pick(asked)):
                 done.append(replace(new, places=asked[new.places]))
         todo = done
     return todo
 
 
-def _fitted_as_is(stack: Stack, looks: FirstLooks, width_px: Float, choices: Mapping[str, Any] | None) -> list[FittedEdges]:
+def _fitted_as_is(stack: Stack, looks: FirstLooks, width_px: Float, choices: Choices) -> list[FittedEdges]:
     """Fitted edges; none of a region whose equations have no solution."""
     try:
         return measure_edges(stack, looks, width_px, floor=ROUNDING_VARIANCE, choices=choices)
@@ -239,7 +255,7 @@ def _fitted_as_is(stack: Stack, looks: FirstLooks, width_px: Float, choices: Map
     out = []
     for i in range(len(stack)):
         one = np.array([i])
-        for fitted in _fitted_as_is(stack.pick(one), looks.pick(one), width_px[one], choices):
+        for fitted in _fitted_as_is(stack.pick(one), looks.pick(one), width_px[one], choices.pick(one)):
             out.append(replace(fitted, places=one))
     return out
 
