@@ -108,3 +108,14 @@ def test_it_moves_the_film_by_what_it_says(name, place, light):
     assert after.pupil.focus_um - before.pupil.focus_um == pytest.approx(effect.focus_shift_um(context), abs=1e-12)
     if name in ("defocus", "field_curvature", "sensor_tilt"):
         assert abs(effect.focus_shift_um(context)) > 0.1
+
+
+@pytest.mark.parametrize("mode", ["capture", "derivative"])
+@pytest.mark.parametrize("name", sorted(set(catalogue()) - {"cfa"}))  # without colour filters there is no mosaic
+def test_bits_do_not_depend_on_how_many_blocks_of_rows_are_seen_at_once(name, mode, camera, monkeypatch):
+    """The corner lies on two blocks, each with streams of its own."""
+    changed = with_effect(camera, name)
+    together = [dn(changed, SHOTS[role], mode) for role in ("dark", "flat")]
+    monkeypatch.setattr("isetval.camera.chain.RUN_PX", 1)
+    for role, found in zip(("dark", "flat"), together, strict=True):
+        np.testing.assert_array_equal(found, dn(changed, SHOTS[role], mode))

@@ -1,6 +1,7 @@
 """The predictor's ways to save time change no number: stacks, workers, the store."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.gaussian import scatter
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem
+from isetval.loop.shot_groups import by_shot, for_differences
 from isetval.loop.shot_task import Sampled
 from isetval.loop.stand_ins import of_shot, stand_ins
 from isetval.loop.telling import Teller
@@ -79,6 +81,43 @@ def test_shots_measured_together_are_as_measured_alone(model, plan, table):
         ((_, alone),) = measure_shot(shot, captures, choices=table.choices)
         np.testing.assert_allclose([m.value for m in blocks[0].metrics], [m.value for m in alone.metrics], rtol=1e-9)
         np.testing.assert_allclose([m.sigma for m in blocks[0].metrics], [m.sigma for m in alone.metrics], rtol=1e-9)
+
+
+def test_values_alone_are_those_that_have_error_bars(model, plan, table):
+    """Of each role: an analysis leaves correlations, columns and sigmas away, and no row."""
+    campaign = simulate(model, plan, 1)
+    for shot in plan.shots:
+        choices, _ = for_differences(shot, table.choices)
+        blocks = [measure_shot(shot, campaign.captures[shot.name], choices=own) for own in (table.choices, choices)]
+        for (name, whole), (same, alone) in zip(*blocks, strict=True):
+            kept = [m for m in whole.metrics if not m.summary]
+            assert same == name
+            assert [m.key() for m in alone.metrics] == [m.key() for m in kept]
+            np.testing.assert_allclose([m.value for m in alone.metrics], [m.value for m in kept], rtol=1e-9)
+            assert alone.differences == whole.differences
+
+
+def test_edges_of_several_shots_go_into_few_calls_and_others_by_shot(model, plan):
+    class Task:
+        pixels = 9216
+
+        def __init__(self, shot):
+            self.of, self.chosen = shot.name, "same"
+            self.setup = SimpleNamespace(shot=shot)
+
+    edge, flat = (next(s for s in plan.shots if s.role == role) for role in ("edge", "flat"))
+    tasks = {}
+    for i in range(5):
+        for shot in (edge, flat):
+            for point in range(8):
+                tasks[f"{shot.role} {i} {point}"] = Task(replace(shot, name=f"{shot.role} {i}"))
+    groups = list(by_shot(tasks))
+    assert sorted(key for group in groups for key in group) == sorted(tasks)
+    shots = [sorted({tasks[key].of for key in group}) for group in groups]
+    assert shots[:5] == [[f"flat {i}"] for i in range(5)]
+    assert [len(group) for group in groups[5:]] == [16, 16, 8]
+    few = {key: task for key, task in tasks.items() if key.endswith(" 0") and key.startswith("edge")}
+    assert [len(group) for group in by_shot(few)] == [3, 2]  # one for each of two workers
 
 
 def measured_alone(model, plan, table, seed):

@@ -98,6 +98,25 @@ def test_a_large_mixed_batch_equals_one_by_one():
     assert sum(result.accepted for result in many) == 35
 
 
+def test_each_region_of_a_batch_has_its_own_channel_and_choices():
+    """Red and blue planes have one grid: they are fitted in one stack, as alone."""
+    truths = [EdgeTruth(EdgeBlur(gaussian_sigma_px=width), angle_deg=5.0) for width in (0.6, 1.4, 2.5)]
+    captures = [edge_capture(truth, snr_bright=40, seed=i, cfa="RGGB") for i, truth in enumerate(truths)]
+    asked = [(capture, channel) for capture in captures for channel in ("R", "G", "B")]
+    chosen = [sfr(capture, channel=channel).choices for capture, channel in asked]
+    chosen[4] = None  # this one chooses by itself
+    many = sfr_batch([c for c, _ in asked], [None] * 9, [k for _, k in asked], choices=chosen)
+    for (capture, channel), own, result in zip(asked, chosen, many, strict=True):
+        alone = sfr(capture, channel=channel, choices=own)
+        assert result.choices == pytest.approx(alone.choices, rel=1e-6)
+        np.testing.assert_allclose(result.mtf, alone.mtf, rtol=0, atol=1e-9)
+    assert len({tuple(result.choices.values()) for result in many}) == 9
+    with pytest.raises(InputError, match="2 channels and 1 regions; give one channel"):
+        sfr_batch(captures[0], [None], ["R", "B"])
+    with pytest.raises(InputError, match="2 choices and 1 regions; give one choices"):
+        sfr_batch(captures[0], [None], choices=[None, None])
+
+
 def test_black_subtracted_twice_is_refused():
     capture = edge_capture(EdgeTruth(AIRY), snr_bright=60)
     twice = np.clip(capture.mosaic.astype(int) - 1700, 0, None)
