@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from isetval.core.metric import Metric
+from isetval.loop.block_factor import of_blocks, scaled
 from isetval.loop.gaussian import scatter
 from isetval.loop.shot_task import Sampled
 
@@ -22,13 +24,13 @@ class Base:
     """Mean and covariance of the metrics at the nominal point, from ``replicas`` simulated campaigns.
 
     ``values`` is (replicas, metrics); ``mean`` (metrics,) is that of all replicas of a shot, which may be ``further`` (metrics,)
-    ones; ``covariance`` (metrics, metrics) is of one campaign, scaled by family and shot to the scatter that the replicas show;
-    ``scale`` (metrics,) holds those factors of sigma.  ``render`` is the part of its diagonal, (metrics,), that comes from the
-    noise of renders.  ``samples`` are the replicas shot by shot.
+    ones; ``covariance`` (metrics, metrics), sparse, is of one campaign, scaled by family and shot to the scatter that replicas
+    show; ``scale`` (metrics,) holds those factors of sigma.  ``render`` is the part of its diagonal, (metrics,), that comes from
+    the noise of renders.  ``samples`` are the replicas shot by shot.
     """
 
     mean: Float
-    covariance: Float
+    covariance: csr_array
     values: Float
     scale: Float
     render: Float | float = 0.0
@@ -46,37 +48,33 @@ class Base:
         return np.asarray(self.replicas + np.broadcast_to(self.further, self.mean.shape))
 
     def with_simulation(self, rows: NDArray[np.intp], others: NDArray[np.intp]) -> Float:
-        """By what covariances of rows (n,) with others (m,) grow, (n, m), where the mean of simulations is taken off: 1 + 1/R.
+        """By what covariances of rows with others grow where the mean of the simulations is taken off: 1 + 1/R.
 
         Of means of R and of r campaigns, the first r of them the same, the covariance is 1/R of that of one.
         """
         number = self.number
-        return np.asarray(1 + 1 / np.maximum.outer(number[rows], number[others]))
+        return np.asarray(1 + 1 / np.maximum(number[rows], number[others]))
 
-    def of_differences(self) -> Float:
+    def of_differences(self) -> csr_array:
         """Covariance (metrics, metrics) of one campaign minus the mean of the simulations."""
-        out = self.covariance * (1 + 1 / self.replicas)
-        every, more = np.arange(len(self.mean)), np.flatnonzero(self.number != self.replicas)
-        out[more] = self.covariance[more] * self.with_simulation(more, every)
-        out[:, more] = out[more].T
-        return out
+        return scaled(self.covariance, self.with_simulation)
 
 
-def gathered(placed: Placed, replicas: int, n: int) -> tuple[Float, Float]:
+def gathered(placed: Placed, replicas: int, n: int) -> tuple[Float, csr_array]:
     """Values (replicas, n) of the first ``replicas`` and the stated covariance (n, n) of one campaign of n metrics."""
-    values, covariance = np.zeros((replicas, n)), np.zeros((n, n))
+    values = np.zeros((replicas, n))
+    blocks = [(rows, sample.covariance) for rows, sample in placed]
     columns: dict[int, list[tuple[NDArray[np.intp], Float]]] = {}
     for rows, sample in placed:
         values[:, rows] = sample.values[:replicas]
-        covariance[np.ix_(rows, rows)] = sample.covariance
         for label, loadings in sample.shared.items():
             columns.setdefault(label, []).append((rows, loadings))
     for parts in columns.values():
         rows = np.concatenate([rows for rows, _ in parts])
         loadings = np.hstack([part for _, part in parts])
         felt = np.flatnonzero(np.any(loadings, axis=0))  # one row or so of each shot
-        covariance[np.ix_(rows[felt], rows[felt])] += loadings[:, felt].T @ loadings[:, felt] / len(loadings)
-    return values, covariance
+        blocks.append((rows[felt], loadings[:, felt].T @ loadings[:, felt] / len(loadings)))
+    return values, of_blocks(blocks, n)
 
 
 def averaged(placed: Placed, n: int) -> tuple[Float, Float]:
@@ -87,7 +85,7 @@ def averaged(placed: Placed, n: int) -> tuple[Float, Float]:
     return mean, number
 
 
-def scattered(placed: Placed, covariance: Float, metrics: Sequence[Metric]) -> Float:
+def scattered(placed: Placed, covariance: csr_array, metrics: Sequence[Metric]) -> Float:
     """Ratio (metrics,) of the scatter of all replicas to the stated covariance, of shots of which there are as many together."""
     alike: dict[int, list[tuple[NDArray[np.intp], Sampled]]] = {}
     for rows, sample in placed:

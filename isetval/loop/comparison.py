@@ -104,7 +104,7 @@ def _mean_square(problem: Problem, fit: Fit, raw: Float, mask: Mask) -> tuple[fl
 
 
 def _root(problem: Problem, rows: NDArray[np.intp]) -> Factor:
-    return factor(problem.covariance[np.ix_(rows, rows)])
+    return factor(problem.covariance, rows)
 
 
 def _true_mean_square(problem: Problem, rows: NDArray[np.intp], root: Factor) -> float:
@@ -263,7 +263,7 @@ def _rows(prepared: Prepared, problem: Problem, model: CameraModel, fitted: Fit)
     metrics = [problem.predictor.table.metrics[i] for i in keep]
     names = [n for n in METRIC_FIELDS if n not in NOT_SHOWN]
     frame = pd.DataFrame([[getattr(m, n) for n in names] for m in metrics], columns=names)
-    sigma = np.sqrt(np.diag(problem.covariance)[keep])
+    sigma = np.sqrt(problem.covariance.diagonal()[keep])
     frame.insert(0, "model", model.name)
     frame["measured"] = problem.measured[keep]
     frame["simulated"] = fitted.prediction[keep]

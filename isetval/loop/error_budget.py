@@ -50,7 +50,7 @@ def error_budget(prepared: Prepared, problem: Problem, fitted: Fit, regions: Reg
     """The budget of every family under the model of ``problem``, nuisances refitted."""
     keep = problem.keep
     parts = _parts(problem)
-    square = fitted.residual[keep] ** 2 / np.diag(problem.covariance)[keep]
+    square = fitted.residual[keep] ** 2 / problem.covariance.diagonal()[keep]
     families = np.array([problem.predictor.table.metrics[i].family for i in keep])
     repeats = _repeats(prepared, problem, fitted)
     rows = []
@@ -73,13 +73,13 @@ def _parts(problem: Problem) -> dict[str, Float]:
     """Shares of the variance of each kept row."""
     keep, base = problem.keep, problem.base
     table = problem.predictor.table
-    total = np.diag(problem.covariance)[keep]
+    total = problem.covariance.diagonal()[keep]
     render, color = (np.broadcast_to(part, len(table.metrics))[keep] for part in (base.render, problem.color_variance))
     more = 1 / base.number[keep]
     color = np.minimum(color, total)
     # counts of rare events have their own law in place of the simulated
     known = np.maximum((total - color) / (1 + more) - render, 0.0)
-    captures = np.clip(np.diag(base.covariance)[keep] - render, 0.0, known)
+    captures = np.clip(base.covariance.diagonal()[keep] - render, 0.0, known)
     sigma = np.array([table.metrics[i].sigma for i in keep])
     own = sigma**2 / np.maximum(table.sigma[keep] ** 2, 1e-300)
     shares = {

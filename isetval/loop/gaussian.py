@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
-from isetval.loop.block_factor import Factor, factor
+from isetval.loop.block_factor import Covariance, Factor, part_of
 
 Float = NDArray[np.float64]
 FLOOR = 0.15
@@ -20,11 +20,6 @@ TOWARDS_ONE, TOWARDS_FAMILY = 40, 100
 """Numbers by which a family's ratio is drawn towards 1, and that of a family in one shot towards the family's: the
 relative error of a ratio from n numbers is 1/sqrt(2 n), 11 % for 40 and 7 % for 100, which is as far as stated
 covariances are off where nothing is wrong."""
-
-
-def log_volume(covariance: Float) -> float:
-    """Ln det of a covariance (n, n), with the diagonal that its factor has."""
-    return factor(covariance).log_volume
 
 
 def expected_mean_square(values: Float, root: Factor, unseen: Float | None = None) -> float:
@@ -106,7 +101,7 @@ def orthonormal_basis(matrix: Float) -> Float:
     return np.asarray(q[:, np.abs(np.diag(r)) > 1e-10])
 
 
-def scatter(values: Float, covariance: Float, metrics: Sequence[Metric]) -> Float:
+def scatter(values: Float, covariance: Covariance, metrics: Sequence[Metric]) -> Float:
     """Ratio (metrics,) of the scatter of replicas to the stated covariance (whitened), by family and shot.
 
     Parameters
@@ -122,21 +117,27 @@ def scatter(values: Float, covariance: Float, metrics: Sequence[Metric]) -> Floa
     A family's ratio is drawn towards 1, that of the family in one shot towards the family's: row noise, for one, concerns
     horizontal edges only.
     """
-    variance = np.diag(covariance)
+    variance = covariance.diagonal()
     good = np.isfinite(variance) & (variance > 0) & np.isfinite(values).all(axis=0)
     residual = values - values.mean(axis=0)
-    families: dict[str, dict[str, list[int]]] = {}
+    shots: dict[str, dict[str, list[int]]] = {}
     for i, m in enumerate(metrics):
         if not m.count:
-            families.setdefault(m.family, {}).setdefault(str(m.shot), []).append(i)
+            shots.setdefault(str(m.shot), {}).setdefault(m.family, []).append(i)
+    families: dict[str, list[tuple[list[int], float, int]]] = {}
+    for own in shots.values():
+        usable = np.array([i for every in own.values() for i in every if good[i]], dtype=np.intp)
+        whole, place = part_of(covariance, usable), {int(i): k for k, i in enumerate(usable)}
+        for family, every in own.items():
+            if rows := [i for i in every if good[i]]:
+                at = [place[i] for i in rows]
+                families.setdefault(family, []).append((every, *_whitened_square(residual[:, rows], whole[np.ix_(at, at)])))
     out = np.ones(len(metrics))
-    for shots in families.values():
-        parts = [(every, [i for i in every if good[i]]) for every in shots.values()]
-        seen = [(every, *_whitened_square(residual[:, rows], covariance[np.ix_(rows, rows)])) for every, rows in parts if rows]
+    for seen in families.values():
         total, numbers = sum(square for _, square, _ in seen), sum(n for _, _, n in seen)
-        whole = (total + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
+        shared = (total + TOWARDS_ONE) / (numbers + TOWARDS_ONE)
         for every, square, n in seen:
-            out[every] = np.sqrt((square + TOWARDS_FAMILY * whole) / (n + TOWARDS_FAMILY))
+            out[every] = np.sqrt((square + TOWARDS_FAMILY * shared) / (n + TOWARDS_FAMILY))
     return out
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from isetval.camera.chain import ShotSetup
 from isetval.camera.exposing import expected_dn, expose
@@ -17,6 +18,7 @@ from isetval.core.capture import Capture
 from isetval.core.context import Mode
 from isetval.core.metric import Block, Metric, MetricTable
 from isetval.core.sensor import Window
+from isetval.loop.block_factor import of_blocks, part_of, scaled
 from isetval.measure.given import is_whole_field
 
 Float = NDArray[np.float64]
@@ -134,17 +136,13 @@ def _is_given(block: Block) -> bool:
     return "wanted" in block.choices
 
 
-def measured_only(covariance: Float, table: MetricTable) -> Float:
+def measured_only(covariance: csr_array, table: MetricTable) -> csr_array:
     """A covariance, (metrics, metrics), that is unknown for given rows: how they scatter is no one's to find here."""
     given = given_rows(table)
-    if not given.any():
-        return covariance
-    out = covariance.copy()
-    out[given] = np.nan
-    return out
+    return scaled(covariance, lambda rows, _: np.where(given[rows], np.nan, 1.0)) if given.any() else covariance
 
 
-def with_stated_covariance(covariance: Float, table: MetricTable, replicas: int) -> Float:
+def with_stated_covariance(covariance: csr_array, table: MetricTable, replicas: int) -> csr_array:
     """The covariance of one campaign, in which given rows have the covariance that their file states.
 
     What the simulation of those rows scatters by is that of its mean over ``replicas``.
@@ -152,9 +150,9 @@ def with_stated_covariance(covariance: Float, table: MetricTable, replicas: int)
     given = given_rows(table)
     if not given.any():
         return covariance
-    out = covariance.copy()
-    out[np.ix_(given, ~given)] = 0.0
-    out[np.ix_(~given, given)] = 0.0
-    rows = np.ix_(given, given)
-    out[rows] = (table.covariance()[rows] + covariance[rows] / replicas) / (1 + 1 / replicas)
-    return out
+    rows = np.flatnonzero(given)
+    stated = (part_of(table.covariance(), rows) + part_of(covariance, rows) / replicas) / (1 + 1 / replicas)
+    whole = covariance.tocoo()
+    kept = ~(given[whole.row] | given[whole.col])
+    others = csr_array((whole.data[kept], (whole.row[kept], whole.col[kept])), shape=covariance.shape)
+    return csr_array(others + of_blocks([(rows, stated)], given.size))

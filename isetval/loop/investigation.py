@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
+from isetval.loop.block_factor import factor
 from isetval.loop.candidates import Candidate, Doubt
 from isetval.loop.evidence import Hypothesis, Member, fitted_members, hypothesis, linear_model, refit
 from isetval.loop.fit import Fit, far_values
-from isetval.loop.gaussian import log_volume
 from isetval.loop.posterior import NOTHING, Names, Posterior
 from isetval.loop.prediction import DERIVATIVE_SEEDS, NOISE_SEEDS, SPECIMEN_SEEDS, Point
 from isetval.loop.prepared import Prepared
@@ -272,7 +272,7 @@ def _at_its_own_weights(case: Investigation, found: Hypothesis) -> Hypothesis:
     fitted = fitted_members(problem, found.members, Point(model, found.fitted.point.values), free, pose=found.fitted.pose)
     own = hypothesis(problem, found.members, fitted)
     common = np.intersect1d(problem.keep, case.problem.keep)
-    wider = [log_volume(p.covariance[np.ix_(common, common)]) for p in (problem, case.problem)]
+    wider = [factor(p.covariance, common).log_volume for p in (problem, case.problem)]
     return replace(found, log_evidence=own.log_evidence - (wider[0] - wider[1]) / 2, values=own.values)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from isetval.camera.chain import ShotSetup
 from isetval.camera.model import CameraModel
@@ -26,6 +27,7 @@ from isetval.core.number_store import NumberStore
 from isetval.core.scene import RenderedTarget
 from isetval.core.sensor import Roi
 from isetval.loop.base import Base, averaged, gathered, scattered
+from isetval.loop.block_factor import of_blocks, scaled
 from isetval.loop.difference_frames import DifferenceFrames
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
@@ -308,15 +310,11 @@ class Predictor:
         placed = [(self.rows[shot.name], samples[shot.name]) for shot in self.shots]
         values, covariance = gathered(placed, replicas, len(self.keys))
         scale = scattered(placed, measured_only(covariance, self.table), self.table.metrics)
-        covariance *= scale[:, None]
-        covariance *= scale
-        render = np.zeros(len(self.keys))
-        for rows, part in self._of_renders(every[0]):
-            covariance[np.ix_(rows, rows)] += part
-            render[rows] = np.diag(part)
+        rendered = of_blocks(list(self._of_renders(every[0])), len(self.keys))
+        covariance = csr_array(scaled(covariance, lambda row, column: scale[row] * scale[column]) + rendered)
         covariance = with_stated_covariance(covariance, self.table, replicas)
         mean, number = averaged(placed, len(self.keys))
-        return Base(mean, covariance, values, scale, render, samples, number - replicas)
+        return Base(mean, covariance, values, scale, rendered.diagonal(), samples, number - replicas)
 
     def _of_renders(self, tasks: list[ShotPart]) -> Iterator[tuple[NDArray[np.intp], Float]]:
         """Rows (n,) of shots and their covariance (n, n) from the noise of renders, which replicas share and do not show."""

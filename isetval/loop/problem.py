@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.loop.base import Base
-from isetval.loop.block_factor import Factor
+from isetval.loop.block_factor import Covariance, Factor
 from isetval.loop.family_scales import Families
 from isetval.loop.prediction import DERIVATIVE_SEEDS, Point, Predictor
 from isetval.loop.shot_task import Sampled
@@ -71,7 +71,7 @@ class Problem:
     keep: NDArray[np.intp]
     factor: Factor
     anchor: Float
-    covariance: Float
+    covariance: Covariance
     seeds: tuple[int, ...] = DERIVATIVE_SEEDS
     columns: dict[str, Column] = field(default_factory=dict)
     effects: dict[Hashable, Taken] = field(default_factory=dict)

@@ -91,7 +91,7 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign, say: Teller
         change[rows] = measured - problem.measured[rows] - moved.mean(axis=0)
         noise[rows] = moved.var(axis=0, ddof=1) * (1 + 1 / REPLICAS)
     keep = problem.keep
-    variance = np.diag(problem.covariance)[keep]
+    variance = problem.covariance.diagonal()[keep]
     return RegionChange(change[keep] / np.sqrt(variance), noise[keep] / variance)
 
 

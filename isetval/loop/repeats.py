@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.campaign import Shot
 from isetval.core.metric import MetricTable
+from isetval.loop.block_factor import part_of
 from isetval.loop.fit import Fit
 from isetval.loop.gaussian import towards_one
 from isetval.loop.prepared import Prepared
@@ -124,7 +125,7 @@ def _numbers_held(problem: Problem, rows: Sequence[tuple[int, int]], white: Floa
     both = np.concatenate([first[shows], second[shows]])
     pick = np.concatenate([white[shows], -white[shows]])
     n, k = white.shape[1], problem.base.replicas - 1
-    unseen = np.eye(n) - pick.T @ problem.base.covariance[np.ix_(both, both)] @ pick
+    unseen = np.eye(n) - pick.T @ part_of(problem.base.covariance, both) @ pick
     z = apart[:, shows] @ white[shows]
     z = z - z.mean(axis=0)
     shown = z.T @ z / k
@@ -148,7 +149,7 @@ def repeat_differences(
     local = pick[:, problem.keep]
     paired = np.any(local, axis=0)
     both = problem.keep[paired]
-    covariance = problem.covariance[np.ix_(both, both)] / problem.base.with_simulation(both, both)
+    covariance = part_of(problem.covariance, both) / problem.base.with_simulation(*np.ix_(both, both))
     spread = local[:, paired] @ covariance @ local[:, paired].T + (
         _set_up_part(problem, fitted or prepared.fit_nuisances(prepared.model), local) if rows else 0.0
     )

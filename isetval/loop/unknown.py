@@ -156,7 +156,7 @@ def patterns_of(problem: Problem) -> Patterns:
 
 def _patterns_of(problem: Problem) -> Patterns:
     metrics = problem.predictor.table.metrics
-    sigma = np.sqrt(np.diag(problem.base.covariance))
+    sigma = np.sqrt(problem.base.covariance.diagonal())
     made = {t.words: t for t in reversed(list(templates(metrics, problem.base.mean, sigma)))}
     if not made:
         return Patterns((), np.array([], str), np.zeros((problem.keep.size, 0)))

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
 
 from isetval.core.errors import InputError
 from isetval.core.metric import Metric, MetricTable
 from isetval.loop.base import Base
-from isetval.loop.block_factor import UNWEIGHED, add_columns, factor
+from isetval.loop.block_factor import UNWEIGHED, factor, of_columns, scaled
 from isetval.loop.gaussian import towards_one, true_scatter
 from isetval.loop.given_side import given_rows
 from isetval.loop.marginal_columns import marginal_columns
@@ -51,7 +52,7 @@ def make_problem(
     base = base or predictor.base(origin, known={name: _moved(own, anchor[predictor.rows[name]]) for name, own in held.items()})
     made = {name: Replicas(sample, anchor[predictor.rows[name]], seeds) for name, sample in base.samples.items()}
     measured = predictor.table.values
-    variance = np.diag(base.covariance)
+    variance = base.covariance.diagonal()
     usable = (
         ~_empty_counts(predictor.table, measured, base)
         & np.isfinite(measured)
@@ -81,7 +82,7 @@ def _that_hold(predictor: Predictor, anchor: Float, seeds: tuple[int, ...], near
     A mean over pixels does not feel their noise: shots in which it is not measured hold only where noise does in all those in
     which it is.  A flat that is a little brighter is no noisier.
     """
-    sigma = np.sqrt(np.diag(near.base.covariance))
+    sigma = np.sqrt(near.base.covariance.diagonal())
     of_noise = np.array([not _is_steady(m) for m in predictor.table.metrics], bool)
     limit = sigma * np.where(of_noise, HOLDS, LEVEL_HOLDS)
     unweighed = ~np.isfinite(sigma)  # lost in a replica, as those of a plane that fills up are: they tell nothing of the noise
@@ -120,20 +121,15 @@ def _empty_counts(table: MetricTable, measured: Float, base: Base) -> NDArray[np
 def weigh(problem: Problem) -> None:
     """Set the covariance of measured minus predicted (sampling, simulation, frame-scope light), its factor, what rows hold."""
     keep = problem.keep
-    covariance = problem.base.of_differences()
     flicker, colors = marginal_columns(problem)
-    for columns in (flicker, colors):
-        add_columns(covariance, columns)
+    covariance = problem.base.of_differences() + of_columns(flicker) + of_columns(colors)
     problem.color_variance = np.sum(colors**2, axis=1)
-    rounding = _rounding(problem, np.diag(covariance)) + (problem.filling.plateau if problem.filling else 0.0)
+    rounding = _rounding(problem, covariance.diagonal()) + (problem.filling.plateau if problem.filling else 0.0)
     problem.unseen = np.column_stack([flicker, colors, _each_alone(rounding + problem.base.render)])
-    covariance[np.diag_indices_from(covariance)] += rounding
-    rare = _of_rare_counts(problem, np.sqrt(np.diag(covariance)))
-    less = np.flatnonzero(rare != 1)
-    covariance[less] *= rare[less, None]
-    covariance[:, less] *= rare[less]
-    problem.covariance = covariance
-    problem.factor = factor(covariance, keep)
+    covariance = csr_array(covariance + diags_array(rounding))
+    rare = _of_rare_counts(problem, np.sqrt(covariance.diagonal()))
+    problem.covariance = scaled(covariance, lambda row, column: rare[row] * rare[column])
+    problem.factor = factor(problem.covariance, keep)
     problem.numbers = _numbers(problem)
 
 

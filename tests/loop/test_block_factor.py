@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
-from isetval.loop.block_factor import JITTER, UNWEIGHED, add_columns, factor
+from isetval.loop.block_factor import JITTER, UNWEIGHED, factor, of_blocks, of_columns, part_of, scaled
 
 SHOTS = (1, 1, 3, 3, 7)  # rows of each
 
@@ -58,13 +59,27 @@ def test_what_is_not_positive_is_refused():
         factor(np.array([[1.0, 2.0], [2.0, 1.0]]))
 
 
-def test_sparse_columns_have_the_gram_matrix_of_any_others(rng):
+def test_sparse_columns_have_the_products_of_any_others(rng):
     columns = np.where(rng.uniform(size=(40, 25)) < 0.1, rng.standard_normal((40, 25)), 0.0)
-    covariance = np.eye(40)
-    add_columns(covariance, columns)
-    assert np.allclose(covariance, np.eye(40) + columns @ columns.T, atol=1e-14)
-    add_columns(covariance, columns[:, :0])
-    assert np.allclose(covariance, np.eye(40) + columns @ columns.T, atol=1e-14)
+    assert np.allclose(of_columns(columns).toarray(), columns @ columns.T, atol=1e-14)
+    assert of_columns(columns[:, :0]).shape == (40, 40)
+
+
+def test_blocks_add_up_and_parts_are_those_of_the_whole(rng):
+    whole, blocks = np.zeros((12, 12)), []
+    for rows in (np.array([5, 2, 7]), np.array([2, 3]), np.array([11])):
+        part = rng.standard_normal((rows.size, rows.size))
+        part[0, -1] = np.nan if rows.size == 2 else part[0, -1]  # a row that was lost stays so
+        whole[np.ix_(rows, rows)] += part
+        blocks.append((rows, part))
+    found = of_blocks(blocks, 12)
+    np.testing.assert_array_equal(found.toarray(), whole)
+    some = np.array([7, 2, 3, 0])
+    for covariance in (found, whole):
+        np.testing.assert_array_equal(part_of(covariance, some), whole[np.ix_(some, some)])
+    grown = scaled(found, lambda row, column: 1.0 + row + 10.0 * column)
+    np.testing.assert_allclose(grown.toarray(), whole * (1.0 + np.arange(12)[:, None] + 10.0 * np.arange(12)), rtol=1e-15)
+    assert of_blocks([], 3).shape == (3, 3)
 
 
 def test_most_rows_of_a_covariance_have_the_root_of_their_own(rng):
@@ -73,5 +88,7 @@ def test_most_rows_of_a_covariance_have_the_root_of_their_own(rng):
     some, own = factor(covariance, keep), factor(covariance[np.ix_(keep, keep)])
     vector = rng.standard_normal(keep.size)
     assert np.allclose(some.white(vector), own.white(vector), rtol=1e-12)
-    assert some.n == keep.size
+    sparse = factor(csr_array(covariance), keep)
+    assert np.allclose(sparse.white(vector), own.white(vector), rtol=1e-12)
+    assert some.n == sparse.n == keep.size
     assert factor(covariance, keep[:0]) is UNWEIGHED

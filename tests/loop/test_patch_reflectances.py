@@ -11,6 +11,7 @@ from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, Patch, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
+from isetval.loop.block_factor import part_of
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import prepare
@@ -119,7 +120,7 @@ def test_a_color_that_nobody_knows_is_a_factor_of_its_rows_in_one_light(camera):
         assert [m.key() for m in one.problem.predictor.table.metrics] == [m.key() for m in other.problem.predictor.table.metrics]
         metrics, level = one.problem.predictor.table.metrics, one.problem.base.mean
         means = [i for i in one.problem.keep if metrics[i].name == "patch_mean"]
-        added = (one.problem.covariance - other.problem.covariance)[np.ix_(means, means)]
+        added = part_of(one.problem.covariance - other.problem.covariance, np.array(means))
         same = np.array(
             [[metrics[i].patch == metrics[j].patch and metrics[i].channel == metrics[j].channel for j in means] for i in means]
         )

@@ -182,7 +182,7 @@ def test_contrasts_that_may_be_on_either_side_of_zero_do_not_decide(values, fami
     problem = SimpleNamespace(
         keep=np.arange(2),
         covariance=1e-4 * np.eye(2),
-        base=SimpleNamespace(with_simulation=lambda rows, others: np.ones((len(rows), len(others)))),
+        base=SimpleNamespace(with_simulation=lambda rows, others: np.ones(np.broadcast_shapes(rows.shape, others.shape))),
     )
     prepared = SimpleNamespace(
         table=table, campaign=SimpleNamespace(shots=SHOTS), fit_nuisances=lambda model: SimpleNamespace(free=()), model=None

@@ -156,7 +156,7 @@ def test_replicas_hold_where_the_origin_moves_by_less_than_the_error_bars(model,
         found, anew = make_problem(predictor, moved, near=[near]), make_problem(predictor, moved)
         kept = {name for name, own in found.replicas.items() if own is near.replicas[name]}
         assert kept == {"short", "flat"}  # an edge does not tell its noise, which a dark says has changed
-        sigma = np.sqrt(np.diag(anew.base.covariance))
+        sigma = np.sqrt(anew.base.covariance.diagonal())
         off = np.abs(found.base.mean - anew.base.mean)[found.keep] / sigma[found.keep]
         assert off.max() < 4 * np.sqrt(2 / found.base.replicas)  # two means of 16
         rows = predictor.rows["long"]
@@ -177,7 +177,7 @@ def test_replicas_of_a_little_more_light_hold(model, plan, longer_ms, kept):
     with prepare(model, simulate(model, plan, 1)) as prepared:
         near, predictor = prepared.problem, prepared.problem.predictor
         found = make_problem(predictor, Point(model.add(catalogue()["exposure_time"](offset_ms=longer_ms))), near=[near])
-        off = np.abs(found.anchor - near.anchor) / np.sqrt(np.diag(near.base.covariance))
+        off = np.abs(found.anchor - near.anchor) / np.sqrt(near.base.covariance.diagonal())
         assert np.nanmax(off[predictor.rows["flat"]]) > HOLDS
         assert {name for name, own in found.replicas.items() if own is near.replicas[name]} == kept
 
@@ -190,7 +190,7 @@ def test_replicas_of_a_little_more_blur_hold(model, plan):
         found, anew = make_problem(predictor, blurred, near=[near]), make_problem(predictor, blurred)
         assert all(own is near.replicas[name] for name, own in found.replicas.items())
         rows = predictor.rows["edge"]
-        sigma, own = (np.sqrt(np.diag(p.base.covariance))[rows] for p in (anew, found))
+        sigma, own = (np.sqrt(p.base.covariance.diagonal())[rows] for p in (anew, found))
         assert np.nanmax(np.abs(found.anchor - near.anchor)[rows] / sigma) > 2 * HOLDS
         assert np.nanmax(np.abs(found.base.mean - anew.base.mean)[rows] / sigma) < 4 * np.sqrt(2 / found.base.replicas)
         assert np.nanmedian(np.abs(np.log(own / sigma))) < 0.1
@@ -202,7 +202,7 @@ def test_a_plane_that_fills_up_has_no_say_in_whether_replicas_of_edges_hold(mode
     full = replace(plan, shots=(*plan.shots, Shot("full", "flat", exposure=Exposure(FULL_S), **LIT)))
     with prepare(model, simulate(model, full, 1)) as prepared:
         near, predictor = prepared.problem, prepared.problem.predictor
-        assert not np.isfinite(np.diag(near.base.covariance)[predictor.rows["full"]]).all()
+        assert not np.isfinite(near.base.covariance.diagonal()[predictor.rows["full"]]).all()
         blurred = Point(model.with_values({"pixel_aperture.width_px": model.value("pixel_aperture.width_px") + 0.05}))
         later = Point(blurred.model.add(catalogue()["exposure_time"](offset_ms=later_ms)))
         found = make_problem(predictor, later, near=[near])

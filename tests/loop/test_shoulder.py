@@ -79,7 +79,7 @@ def test_a_plateau_without_noise_keeps_its_height(model, tmp_path, monkeypatch):
     with prepare(camera, simulate(camera, plan, seed=4)) as ready:
         rows = ready.problem.predictor.table.metrics
         height = [i for i in ready.problem.keep if (rows[i].shot, rows[i].channel, rows[i].name) == ("field0", "Gr", "mean")]
-        assert np.diag(ready.problem.base.covariance)[height] == pytest.approx(0)
+        assert ready.problem.base.covariance.diagonal()[height] == pytest.approx(0)
         (lower,) = ready.problem.predict([Point(model.with_effect(WrongWhiteTag(share=0.21)))])
     assert len(height) == 1
     assert lower[height[0]] - rows[height[0]].value == pytest.approx(-0.01 * 959, abs=1.0)  # a code
