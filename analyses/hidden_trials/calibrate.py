@@ -24,6 +24,7 @@ from isetval.loop.score_test import make_frame
 from isetval.measure.campaign import measure_campaign
 from isetval.testing.foreign_camera.camera_file import nominal_camera
 from isetval.testing.foreign_camera.campaign import in_setting, write_campaign
+from isetval.testing.foreign_camera.effects import STAGES
 from isetval.testing.foreign_camera.strengths import ALL, STRENGTHS, visible
 
 SEEDS = (71, 72, 73)  # of specimens that no trial uses
@@ -84,7 +85,11 @@ def common_square(parts):
 
 
 def s_at_one(calibration, concealed):
-    """s at strength 1 by the power law, measured at a strength that stands out clearly; 0 where nothing follows the law."""
+    """s at strength 1 by the power law, measured at a strength that stands out clearly; 0 where nothing follows the law.
+
+    It is tried at twice the strength; where whole codes are rounded anew at half of it as well, at which all of them may stay
+    what they are.
+    """
     strength = 1.0
     for _ in range(ROUNDS):
         s = calibration.sigmas(concealed, strength)
@@ -96,8 +101,9 @@ def s_at_one(calibration, concealed):
         strength *= max(step, 0.1) ** (1 / concealed.power)
     if s < WANTED[0] or strength >= TOO_STRONG:
         return 0.0
-    twice = calibration.sigmas(concealed, 2 * strength) / (s * 2**concealed.power)
-    return s / strength**concealed.power if 1 / AS_THE_POWER < twice < AS_THE_POWER else 0.0
+    factors = (2.0, 0.5) if concealed.key in STAGES["file"] else (2.0,)
+    ratios = [calibration.sigmas(concealed, f * strength) / (s * f**concealed.power) for f in factors]
+    return s / strength**concealed.power if all(1 / AS_THE_POWER < ratio < AS_THE_POWER for ratio in ratios) else 0.0
 
 
 def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print):

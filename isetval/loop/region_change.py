@@ -7,7 +7,6 @@ simulations themselves show.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,7 +29,7 @@ from isetval.loop.stand_ins import of_shot
 from isetval.loop.telling import Teller
 from isetval.measure.campaign import measure_shot, measure_shots
 from isetval.measure.kept_shots import Analyzed, KeptShots
-from isetval.measure.works import InTurn, Work, done, sent_or_done
+from isetval.measure.works import InTurn, Work
 
 Float = NDArray[np.float64]
 TRIMMED = 1 / 16  # of the shorter side, at both ends: as far as the boxes of two people differ; a quarter of the pixels
@@ -98,19 +97,13 @@ def region_change(problem: Problem, fitted: Fit, campaign: Campaign, say: Teller
 def _measured(shots: Sequence[Shot], campaign: Campaign, in_turn: InTurn) -> Iterator[list[tuple[str, Block]]]:
     """`measured_in` of each shot's captures, which are decoded when there is room for them, or what is kept of it."""
     kept = KeptShots("chosen by itself")
-    begun: deque[str | None] = deque()
 
     def works() -> Iterator[Work]:
         for inner in shots:
-            frames = tuple(_cut(campaign.captures.read(inner.name), inner))
-            key = kept.key(inner, frames)
-            known = kept.get(key)
-            begun.append(key if known is None else None)
-            yield sent_or_done(measured_in, inner, frames) if known is None else done(known)
+            yield kept.work(measured_in, inner, tuple(_cut(campaign.captures.read(inner.name), inner)))
 
-    for found in in_turn(works()):
-        kept.put(begun.popleft(), found)
-        yield found[0]
+    for blocks, _ in in_turn(works()):
+        yield blocks
 
 
 def measured_in(inner: Shot, frames: Sequence[Capture]) -> Analyzed:

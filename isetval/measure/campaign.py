@@ -21,7 +21,7 @@ from isetval.measure.given import given_block, same_rows
 from isetval.measure.kept_shots import Analyzed, KeptShots
 from isetval.measure.shot_summaries import shot_summaries
 from isetval.measure.summaries import session_summaries, wanted
-from isetval.measure.works import InTurn, Work, done, done_here, sent_or_done
+from isetval.measure.works import InTurn, Work, done_here, sent_or_done
 
 Progress = Callable[[str, int, int], None]
 ChoicesFor = Callable[[Shot, Sequence[Capture]], Mapping[str, Any]]
@@ -107,7 +107,7 @@ def measure_campaign(
         if progress is not None:
             progress(shot.name, i + 1, len(campaign.shots))
     if kept is not None:
-        kept.close()
+        kept.prune()
     return found.table()
 
 
@@ -126,23 +126,20 @@ class _Measured:
     made: dict[str, Any] = field(default_factory=dict)
     frames: dict[str, Sequence[Capture]] = field(default_factory=dict)
     held: int = 0
-    begun: deque[tuple[Shot, Sequence[Capture], str | None]] = field(default_factory=deque)
+    begun: deque[tuple[Shot, Sequence[Capture]]] = field(default_factory=deque)
 
     def works(self) -> Iterator[Work]:
         """The analyses of each shot; its captures are let go before the next is decoded, where nobody does several at a time."""
         for shot in self.campaign.shots:
             captures = self.campaign.captures.read(shot.name)
-            key = self.kept.key(shot, captures) if self.kept is not None else None
-            known = self.kept.get(key) if self.kept is not None else None
-            self.begun.append((shot, captures, None if known is not None else key))
-            yield sent_or_done(analyzed_shot, shot, captures, self.choices, self.patches) if known is None else done(known)
+            self.begun.append((shot, captures))
+            work = sent_or_done if self.kept is None else self.kept.work
+            yield work(analyzed_shot, shot, captures, self.choices, self.patches)
             del captures
 
     def take(self, analyzed: Analyzed) -> Shot:
         """Add what was found of the shot that was begun first."""
-        shot, captures, key = self.begun.popleft()
-        if self.kept is not None:
-            self.kept.put(key, analyzed)
+        shot, captures = self.begun.popleft()
         given = _listed(shot, self.notes, alone=not captures)
         if given.metrics:
             self.blocks.append(given)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from isetval.core.campaign import Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.metric import Block, Differences, Metric
+from isetval.measure.works import Work, done, sent_or_done
 
 FORMAT = 1
 KEPT_BYTES = 500_000_000  # 150 campaigns of two sessions, 3.3 MB each
@@ -38,7 +39,6 @@ class KeptShots:
 
     asked: str
     folder: Path = field(default_factory=lambda: cache_folder() / "shots")
-    new: int = 0
 
     def key(self, shot: Shot, captures: Sequence[Capture]) -> str | None:
         """Hash of what numbers follow from; None of captures that are decoded as they are looked at, or have no content."""
@@ -64,15 +64,28 @@ class KeptShots:
         if key is None or remarks:
             return
         with suppress(TypeError):
-            self.new += save_arrays(self._path(key), packed(blocks))
+            save_arrays(self._path(key), packed(blocks))
 
-    def close(self) -> None:
+    def prune(self) -> None:
         """Let go of what was used longest ago, where the folder has become too large."""
-        if self.new:
-            prune(self.folder, max_bytes=KEPT_BYTES)
+        prune(self.folder, max_bytes=KEPT_BYTES)
+
+    def work(self, measure: Callable[..., Analyzed], shot: Shot, captures: Sequence[Capture], *more: Any) -> Work:
+        """``measure(shot, captures, *more)``, whose result is kept by whoever does it; or what is kept of it."""
+        key = self.key(shot, captures)
+        known = self.get(key)
+        return sent_or_done(_measured, shot, captures, self, key, measure, *more) if known is None else done(known)
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{key[:32]}.npz"
+
+
+def _measured(
+    shot: Shot, captures: Sequence[Capture], kept: KeptShots, key: str | None, measure: Callable[..., Analyzed], *more: Any
+) -> Analyzed:
+    found = measure(shot, captures, *more)
+    kept.put(key, found)
+    return found
 
 
 def packed(blocks: Blocks) -> dict[str, NDArray[Any]]:

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
@@ -35,7 +36,7 @@ def problem_of(seed, family="mtf", count=False):
     values = seen(REPLICAS)
     table = SimpleNamespace(metrics=metrics, sigma=np.ones(ROWS), blocks=[SimpleNamespace(metrics=metrics, choices={})])
     predictor = SimpleNamespace(plan=Campaign("plan", ()), table=table, noise_free=np.zeros(ROWS, bool))
-    base = Base(values.mean(axis=0), stated, values, np.ones(ROWS))
+    base = Base(values.mean(axis=0), csr_array(stated), values, np.ones(ROWS))
     (measured,) = seen(1)
     problem = Problem(predictor, None, base, measured, np.arange(ROWS), factor(stated), base.mean, stated)
     weigh(problem)

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from scipy.stats import norm, poisson
 
 from isetval.core.campaign import Campaign
@@ -26,7 +27,7 @@ def whitened(found, rate, seed=0):
     metric = Metric("noisy_pixels", float(root(found)), 1.0, "2 sqrt(count + 3/8)", family="dark_noisy_pixels", count=True)
     table = SimpleNamespace(metrics=[metric], sigma=np.ones(1), blocks=[SimpleNamespace(metrics=[metric], choices={})])
     predictor = SimpleNamespace(plan=Campaign("plan", ()), table=table, noise_free=np.zeros(1, bool))
-    base = Base(values.mean(axis=0), np.eye(1), values, np.ones(1))
+    base = Base(values.mean(axis=0), csr_array(np.eye(1)), values, np.ones(1))
     measured = np.array([float(root(found))])
     problem = Problem(predictor, None, base, measured, np.arange(1), np.eye(1), base.mean, base.covariance)
     weigh(problem)

@@ -51,7 +51,7 @@ def test_a_second_session_of_the_same_shots_is_simulated_with_the_first(model, p
     with prepare(model, campaign.session("A")) as first, prepare(model, campaign.session("B")) as second:
         here, there = first.problem.base, second.problem.base
         np.testing.assert_array_equal(here.values, there.values)
-        np.testing.assert_array_equal(here.covariance, there.covariance)
+        np.testing.assert_array_equal(here.covariance.toarray(), there.covariance.toarray())
         moved = [Point(model.with_values({"read_noise.sigma_e": 3.3}))]
         found = first.problem.predict(moved)
         told = counted(second.problem.predictor)
