@@ -25,7 +25,7 @@ from isetval.measure.campaign import measure_campaign
 from isetval.testing.foreign_camera.camera_file import nominal_camera
 from isetval.testing.foreign_camera.campaign import in_setting, write_campaign
 from isetval.testing.foreign_camera.effects import STAGES
-from isetval.testing.foreign_camera.strengths import ALL, STRENGTHS, visible
+from isetval.testing.foreign_camera.strengths import ALL, STRENGTHS, WITHOUT_LAW, visible
 
 SEEDS = (71, 72, 73)  # of specimens that no trial uses
 WANTED = (10.0, 50.0)  # sigmas: above the noise of the products (about 4), below the bends of most metrics; under them: not seen
@@ -87,8 +87,7 @@ def common_square(parts):
 def s_at_one(calibration, concealed):
     """s at strength 1 by the power law, measured at a strength that stands out clearly; 0 where nothing follows the law.
 
-    It is tried at twice the strength; where whole codes are rounded anew at half of it as well, at which all of them may stay
-    what they are.
+    It is tried at twice the strength.
     """
     strength = 1.0
     for _ in range(ROUNDS):
@@ -101,9 +100,23 @@ def s_at_one(calibration, concealed):
         strength *= max(step, 0.1) ** (1 / concealed.power)
     if s < WANTED[0] or strength >= TOO_STRONG:
         return 0.0
-    factors = (2.0, 0.5) if concealed.key in STAGES["file"] else (2.0,)
-    ratios = [calibration.sigmas(concealed, f * strength) / (s * f**concealed.power) for f in factors]
-    return s / strength**concealed.power if all(1 / AS_THE_POWER < ratio < AS_THE_POWER for ratio in ratios) else 0.0
+    twice = calibration.sigmas(concealed, 2 * strength) / (s * 2**concealed.power)
+    if not 1 / AS_THE_POWER < twice < AS_THE_POWER:
+        return 0.0
+    return s / strength**concealed.power
+
+
+def follows_below(calibration, concealed, one):
+    """Whether s follows the power law at half of the strength at which it is measured too; ``one`` is that at strength 1.
+
+    Asked where whole codes are rounded anew, which may all stay what they are.
+    """
+    if concealed.key not in STAGES["file"] or not concealed.scaled:
+        return True
+    half = AIM / 2
+    return (
+        one > 0 and 1 / AS_THE_POWER < calibration.sigmas(concealed, (half / one) ** (1 / concealed.power)) / half < AS_THE_POWER
+    )
 
 
 def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print):
@@ -117,6 +130,11 @@ def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print
         return
     calibration = Calibration(nominal_folder, plan, lens)
     for concealed in wanted:
-        own[concealed.key] = round(s_at_one(calibration, concealed), 3)
+        one = s_at_one(calibration, concealed)
+        lawless = known.setdefault(WITHOUT_LAW, {}).setdefault(f"{plan}/{lens}", {})
+        lawless.pop(concealed.key, None)
+        if not follows_below(calibration, concealed, one):
+            one, lawless[concealed.key] = calibration.sigmas(concealed, 1.0), "whole codes are rounded anew"
+        own[concealed.key] = round(one, 3)
         say(f"{plan}/{lens} {concealed.key}: s {own[concealed.key]:.2f} at the strength of practice")
         Path(path).write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")

@@ -4,6 +4,7 @@ import json
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +14,14 @@ sys.path.insert(0, str(ANALYSES))
 
 import hidden_effects  # noqa: E402
 from hidden_trials import draw  # noqa: E402
-from hidden_trials.calibrate import common_square  # noqa: E402
+from hidden_trials.calibrate import common_square, follows_below  # noqa: E402
 from hidden_trials.judge import judged  # noqa: E402
 from hidden_trials.nearest import tells_apart  # noqa: E402
 from hidden_trials.own_signature import along_signatures  # noqa: E402
 from hidden_trials.run import changes_bits  # noqa: E402
 from hidden_trials.summary import interval, summary, table_lines  # noqa: E402
 
+from isetval.testing.foreign_camera import strengths  # noqa: E402
 from isetval.testing.foreign_camera.strengths import ALL  # noqa: E402
 
 
@@ -53,6 +55,29 @@ def test_stored_strengths_are_restated_by_the_laws_of_now():
     row = next(r for r in drawn if "row_bands" in r["hidden"] and r["level"] == 15.0)
     half = row | {"hidden": {"row_bands": {"depth": row["hidden"]["row_bands"]["depth"] / 2}}}
     assert draw.restated_s(half) == pytest.approx([15 / 4], rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("key", "least", "follows"),
+    [("linearization_table", 0.12, False), ("linearization_table", 0.0, True), ("vignetting_early", 0.12, True)],
+)
+def test_codes_that_all_stay_what_they_are_end_a_law(key, least, follows):
+    """A table of 216 sigmas bends no code by half of one at an eighth of it; what light does is not asked for."""
+    calibration = SimpleNamespace(sigmas=lambda concealed, strength: 216.0 * strength if strength > least else 0.0)
+    assert follows_below(calibration, ALL[key], 216.0) == follows
+
+
+def test_what_follows_no_law_is_hidden_as_met_in_practice_only(monkeypatch):
+    gain, plan = ALL["digital_gain"], "full/open"
+    known = strengths.measured_strengths()
+    assert strengths.strength_for(gain, 8.0, "full", "open") == pytest.approx((8 / known[plan][gain.key]) ** (1 / gain.power))
+    lawless = known | {strengths.WITHOUT_LAW: {plan: {gain.key: "whole codes are rounded anew"}}}
+    monkeypatch.setattr(strengths, "measured_strengths", lambda: lawless)
+    monkeypatch.setattr(draw, "measured_strengths", lambda: lawless)
+    assert strengths.strength_for(gain, 8.0, "full", "open") is None
+    assert not draw._can(gain, 8.0, "full", "open")
+    assert draw._can(gain, "practice", "full", "open")
+    assert draw._expected(gain, 1.0, "full", "open") == pytest.approx(known[plan][gain.key], abs=0.01)
 
 
 def test_an_effect_is_made_by_its_name_or_by_the_id_that_it_has_in_the_rows():

@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from .concealed import DARK, FIELD, LIT, Concealed
 from .concealed_effects import EFFECTS
 from .concealed_strangers import FORMS, OUTSIDERS
 
 STRENGTHS = Path(__file__).with_name("strengths.json")
+WITHOUT_LAW = "without a law"
+"""Beside the plans: by plan, what is so strong as stated at strength 1 but not by the power law below it, and why."""
 ALL: dict[str, Concealed] = {c.key: c for c in (*EFFECTS, *FORMS, *OUTSIDERS)}
 
 
 @lru_cache(maxsize=1)
-def measured_strengths() -> dict[str, dict[str, float]]:
+def measured_strengths() -> dict[str, dict[str, Any]]:
     """S at strength 1 by plan and name, as last measured (empty where never)."""
     return dict(json.loads(STRENGTHS.read_text(encoding="utf-8"))) if STRENGTHS.is_file() else {}
 
@@ -23,7 +26,8 @@ def measured_strengths() -> dict[str, dict[str, float]]:
 def strength_for(concealed: Concealed, s: float, plan: str, lens: str) -> float | None:
     """The strength at which an effect stands out by ``s`` sigmas in a plan; None where it cannot be set or does not show."""
     one = measured_strengths().get(f"{plan}/{lens}", {}).get(concealed.key, 0.0)
-    return float((s / one) ** (1 / concealed.power)) if concealed.scaled and one > 0 else None
+    follows = concealed.scaled and concealed.key not in measured_strengths().get(WITHOUT_LAW, {}).get(f"{plan}/{lens}", {})
+    return float((s / one) ** (1 / concealed.power)) if follows and one > 0 else None
 
 
 def visible(concealed: Concealed, plan: str) -> bool:
