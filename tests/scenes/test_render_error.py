@@ -13,6 +13,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.scene import Patch, RenderedTarget, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
+from isetval.loop.block_factor import of_blocks
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.render_error import render_covariance
 from isetval.measure.campaign import measure_shot
@@ -114,7 +115,8 @@ def test_the_prediction_of_a_campaign_carries_it(model):
 
     table = measure_campaign(simulate(model, plan, 3), summaries=False)
     predictor = Predictor(plan, table)
-    part = predictor._of_renders(predictor.parts(Point(model), 1, derivative=False))
+    parts = list(predictor._of_renders(predictor.parts(Point(model), 1, derivative=False)))
+    part = of_blocks(parts, len(table.metrics)).toarray()
     scene = np.array([m.shot == "box" for m in table.metrics])
     assert np.all(np.diag(part)[scene] > 0)
     assert not part[~scene].any()
