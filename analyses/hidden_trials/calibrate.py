@@ -85,10 +85,7 @@ def common_square(parts):
 
 
 def s_at_one(calibration, concealed):
-    """s at strength 1 by the power law, measured at a strength that stands out clearly; 0 where nothing follows the law.
-
-    It is tried at twice the strength.
-    """
+    """s at strength 1 by the power law, measured at a strength that stands out clearly; 0 where nothing follows the law."""
     strength = 1.0
     for _ in range(ROUNDS):
         s = calibration.sigmas(concealed, strength)
@@ -101,9 +98,7 @@ def s_at_one(calibration, concealed):
     if s < WANTED[0] or strength >= TOO_STRONG:
         return 0.0
     twice = calibration.sigmas(concealed, 2 * strength) / (s * 2**concealed.power)
-    if not 1 / AS_THE_POWER < twice < AS_THE_POWER:
-        return 0.0
-    return s / strength**concealed.power
+    return s / strength**concealed.power if 1 / AS_THE_POWER < twice < AS_THE_POWER else 0.0
 
 
 def follows_below(calibration, concealed, one):

@@ -188,7 +188,10 @@ class Context:
         return stream(self.sensor_seed, *self.effect_key, _KIND["sensor"], 32 + part)
 
     def rng(self, kind: Literal["sensor", "frame"], part: int = 0) -> np.random.Generator:
-        """A stream: of this sensor, or of this frame of this shot in this block of rows."""
+        """A stream: of this sensor, or of this frame of this shot in this block of rows.
+
+        A window may hold several blocks: `frame_numbers` draws those of all of them, `blocks` gives them one by one.
+        """
         return self.fixed_rng(part) if kind == "sensor" else stream(self.seed, *self._frame_key(part))
 
     def blocks(self) -> Iterator[tuple[slice, Context]]:

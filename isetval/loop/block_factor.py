@@ -3,7 +3,7 @@
 Shots are independent but for what they share: the covariance of a laboratory's plan (5,300 rows in two sessions) falls into a
 hundred blocks, the root of which costs a tenth of that of the whole.  Rows keep their order within a block, so that
 the root is that of the whole matrix: elements between blocks are exactly zero in both.  It is held sparse: dense it
-takes 225 MB, and half a second each time that it is changed.
+takes 225 MB.
 
 Correlations carry `JITTER` on their diagonal: covariances of smooth curves are singular to rounding, and a Cholesky factor
 needs a smallest eigenvalue well above that of 1e-16 times the number of rows.

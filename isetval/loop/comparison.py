@@ -97,14 +97,10 @@ def _mean_square(problem: Problem, fit: Fit, raw: Float, mask: Mask) -> tuple[fl
     """
     n = int(mask.sum())
     rows = problem.keep[mask]
-    root = problem.factor if mask.all() else _root(problem, rows)
+    root = problem.factor if mask.all() else factor(problem.covariance, rows)
     true = _true_mean_square(problem, rows, root)
     total = float(np.sum(root.white(fit.residual[rows]) ** 2))
     return total / max(n - degrees_spent(root.white(raw[mask]), fit.jacobian, fit.free), 1.0) / true, n
-
-
-def _root(problem: Problem, rows: NDArray[np.intp]) -> Factor:
-    return factor(problem.covariance, rows)
 
 
 def _true_mean_square(problem: Problem, rows: NDArray[np.intp], root: Factor) -> float:
@@ -118,7 +114,8 @@ def _true_mean_square(problem: Problem, rows: NDArray[np.intp], root: Factor) ->
         return 1.0
     unseen = problem.unseen[rows[own]]
     unseen = unseen[:, np.any(unseen, axis=0)]
-    expected = expected_mean_square(problem.simulated(rows[own]), root if own.all() else _root(problem, rows[own]), unseen)
+    root = root if own.all() else factor(problem.covariance, rows[own])
+    expected = expected_mean_square(problem.simulated(rows[own]), root, unseen)
     return float(np.average([expected, 1.0], weights=[own.sum(), (~own).sum()]))
 
 

@@ -110,8 +110,8 @@ def measured_in(inner: Shot, frames: Sequence[Capture]) -> Analyzed:
     """What a shot's captures show in its smaller region, by analysis; nothing where it cannot be measured."""
     try:
         return measure_shot(inner, frames) if frames else [], []
-    except InputError:
-        return [], []
+    except InputError as error:
+        return [], [str(error)]
 
 
 def differences_of(tasks: Sequence[ShotPart], rows: Rows, inner: Shot, choices: Mapping[str, Any]) -> Float:

@@ -19,8 +19,7 @@ from isetval.core.errors import InputError
 from isetval.core.metric import Block, Differences, Metric
 from isetval.measure.works import Work, done, sent_or_done
 
-FORMAT = 1
-KEPT_BYTES = 500_000_000  # 150 campaigns of two sessions, 3.3 MB each
+KEPT_BYTES = 500_000_000  # 40 laboratory campaigns of two sessions with their smaller regions, 12 MB each (`isetval cache`)
 TEXT = "text"
 Blocks = list[tuple[str, Block]]
 Analyzed = tuple[Blocks, list[str]]
@@ -39,6 +38,7 @@ class KeptShots:
 
     asked: str
     folder: Path = field(default_factory=lambda: cache_folder() / "shots")
+    missed: int = 0
 
     def key(self, shot: Shot, captures: Sequence[Capture]) -> str | None:
         """Hash of what numbers follow from; None of captures that are decoded as they are looked at, or have no content."""
@@ -46,7 +46,7 @@ class KeptShots:
             return None
         frames = [(c.mosaic, c.sensor, c.window, c.exposure) for c in captures]
         try:
-            return content_hash((FORMAT, simulation_hash(), self.asked, shot, frames))
+            return content_hash((simulation_hash(), self.asked, shot, frames))
         except TypeError:
             return None
 
@@ -67,13 +67,15 @@ class KeptShots:
             save_arrays(self._path(key), packed(blocks))
 
     def prune(self) -> None:
-        """Let go of what was used longest ago, where the folder has become too large."""
-        prune(self.folder, max_bytes=KEPT_BYTES)
+        """Let go of what was used longest ago, where the folder has become too large; not where nothing new was asked for."""
+        if self.missed:
+            prune(self.folder, max_bytes=KEPT_BYTES)
 
     def work(self, measure: Callable[..., Analyzed], shot: Shot, captures: Sequence[Capture], *more: Any) -> Work:
         """``measure(shot, captures, *more)``, whose result is kept by whoever does it; or what is kept of it."""
         key = self.key(shot, captures)
         known = self.get(key)
+        self.missed += known is None
         return sent_or_done(_measured, shot, captures, self, key, measure, *more) if known is None else done(known)
 
     def _path(self, key: str) -> Path:
@@ -106,7 +108,7 @@ def packed(blocks: Blocks) -> dict[str, NDArray[Any]]:
         told.append(
             {
                 "name": name,
-                "metrics": [vars(m) for m in block.metrics],
+                "metrics": [list(vars(m).values()) for m in block.metrics],
                 "shared": list(block.shared),
                 "choices": block.choices,
                 "differences": asdict(block.differences),
@@ -129,7 +131,7 @@ def unpacked(arrays: Mapping[str, NDArray[Any]]) -> Blocks:
     blocks = []
     for i, own in enumerate(json.loads(arrays[TEXT].tobytes().decode())):
         block = Block(
-            tuple(Metric(**row) for row in own["metrics"]),
+            tuple(Metric(*row) for row in own["metrics"]),
             arrays.get(f"correlation {i}"),
             {label: arrays[f"shared {i} {k}"] for k, label in enumerate(own["shared"])},
             own["choices"],

@@ -62,7 +62,7 @@ def test_stored_strengths_are_restated_by_the_laws_of_now():
     [("linearization_table", 0.12, False), ("linearization_table", 0.0, True), ("vignetting_early", 0.12, True)],
 )
 def test_codes_that_all_stay_what_they_are_end_a_law(key, least, follows):
-    """A table of 216 sigmas bends no code by half of one at an eighth of it; what light does is not asked for."""
+    """Below some strength a table bends no code by half of one; what light does is not asked for."""
     calibration = SimpleNamespace(sigmas=lambda concealed, strength: 216.0 * strength if strength > least else 0.0)
     assert follows_below(calibration, ALL[key], 216.0) == follows
 

@@ -54,12 +54,11 @@ def checked_choices(choices: Mapping[str, Any] | None) -> dict[str, Any]:
     InputError
         For names or values that no result has.
     """
-    given = dict(choices or {})
     kinds = {ORDER: int, WIDTH: int, **dict.fromkeys((*AMPLITUDES, *NOISE), float)}
     try:
-        out = {name: kinds[name](value) for name, value in given.items()}
+        out = {name: kinds[name](value) for name, value in dict(choices or {}).items()}
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"choices are {given!r}; they need {', '.join(kinds)} of another result") from error
+        raise InputError(f"choices are {choices!r}; they need {', '.join(kinds)} of another result") from error
     if not 1 <= out.get(ORDER, 1) <= MAX_ORDER:
         raise InputError(f"choices ask for order {out[ORDER]}; it needs 1 to {MAX_ORDER}")
     if set(AMPLITUDES) & out.keys() and not set(AMPLITUDES) <= out.keys():

@@ -88,8 +88,7 @@ def sfr_batch(
 ) -> list[SfrResult]:
     """``sfr`` of many regions: of one capture or of as many as regions, likewise channels and choices.
 
-    Regions whose grids of samples are alike are measured together, a red and a blue one too: sixteen in half of the time of
-    four calls of four.
+    Regions whose grids of samples are alike are measured together, a red and a blue one too, in less time than one by one.
 
     Raises
     ------
@@ -100,8 +99,8 @@ def sfr_batch(
         raise InputError(f"method is {method!r}; it needs one of {', '.join(METHODS)}")
     if not hasattr(rois, "__len__"):
         raise InputError(f"rois is a {type(rois).__name__}; it needs a list of regions, None for a whole capture")
-    many = _each("capture", captures, rois)
-    channels = _each("channel", [channel] * len(rois) if isinstance(channel, str) else channel, rois)
+    many = _each("captures", captures, rois)
+    channels = _each("channels", [channel] * len(rois) if isinstance(channel, str) else channel, rois)
     chosen = [checked_choices(own) for own in _each("choices", choices, rois)]
     asked = zip(many, rois, channels, chosen, strict=True)
     jobs = [_job(c, r, k, i, oecf, own) for i, (c, r, k, own) in enumerate(asked)]
@@ -118,8 +117,7 @@ def _each(what: str, given: Any, rois: Sequence[RoiLike | None]) -> list[Any]:
     if not isinstance(given, Sequence):
         return [given] * len(rois)
     if len(given) != len(rois):
-        word = what if what.endswith("s") else f"{what}s"
-        raise InputError(f"{len(given)} {word} and {len(rois)} regions; give one {what}, or one for each region")
+        raise InputError(f"{len(given)} {what} and {len(rois)} regions; give one for all of them, or one for each")
     return list(given)
 
 

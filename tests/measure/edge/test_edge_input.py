@@ -111,9 +111,9 @@ def test_each_region_of_a_batch_has_its_own_channel_and_choices():
         assert result.choices == pytest.approx(alone.choices, rel=1e-6)
         np.testing.assert_allclose(result.mtf, alone.mtf, rtol=0, atol=1e-9)
     assert len({tuple(result.choices.values()) for result in many}) == 9
-    with pytest.raises(InputError, match="2 channels and 1 regions; give one channel"):
+    with pytest.raises(InputError, match="2 channels and 1 regions; give one for all"):
         sfr_batch(captures[0], [None], ["R", "B"])
-    with pytest.raises(InputError, match="2 choices and 1 regions; give one choices"):
+    with pytest.raises(InputError, match="2 choices and 1 regions; give one for all"):
         sfr_batch(captures[0], [None], choices=[None, None])
 
 
@@ -139,7 +139,7 @@ def test_regions_that_are_none(roi):
 
 
 @pytest.mark.parametrize(
-    "choices", [{"order": "x"}, {"order": 9}, {"order": 0}, {"even": 0.1}, {"stiffness": 1}, {"order": None}]
+    "choices", [{"order": "x"}, {"order": 9}, {"order": 0}, {"even": 0.1}, {"stiffness": 1}, {"order": None}, 5, "order"]
 )
 def test_choices_that_are_none(choices):
     with pytest.raises(InputError, match="choices"):
