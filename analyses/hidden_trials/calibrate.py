@@ -1,7 +1,8 @@
 """How many sigmas an effect of the foreign camera stands out by, in a plan, behind the laboratory's unknowns.
 
-Three specimens are shot with the effect and without; the difference of all metrics, whitened and with the directions of
-the nuisances taken out, is multiplied with that of another specimen: noise, which is not the same in both, drops out.
+Three specimens are shot with the effect and without, and the unknowns are fitted to all of them: a focus error is a shift of focus,
+not its slope.  The difference of whitened residuals and pulls is multiplied with that of another specimen: noise, which is not the
+same in both, drops out.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import tempfile
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -46,10 +48,10 @@ class Calibration:
         model = isetval.load_model(Path(first.folder) / "camera.toml")
         self.prepared = prepare(model, first)
         self.choices = nominal_of(self.prepared.model, first)
-        problem = self.prepared.problem
-        self.problem = problem
-        self.frame = make_frame(fit(problem, Point(model), nuisance_parameters(problem.plan, model)))
+        self.problem = self.prepared.problem
         self.null = [self._values(self._shot(f"null_{seed}", None, seed)) for seed in SEEDS]
+        frames = [self._frame(values) for values in self.null]
+        self.frame, self.null_left = frames[0], [frame.z for frame in frames]
 
     def _shot(self, name, hidden, seed):
         where = Path(self.folder.name) / name
@@ -64,14 +66,18 @@ class Calibration:
         found = {m.key(): v for m, v in zip(table.metrics, table.values, strict=True)}
         return np.array([found.get(m.key(), np.nan) for m in self.prepared.table.metrics])
 
+    def _frame(self, values):
+        """Whitened residuals and pulls of the unknowns that fit these values best."""
+        problem, model = replace(self.problem, measured=values), self.prepared.model
+        return make_frame(fit(problem, Point(model), nuisance_parameters(problem.plan, model), stated=True))
+
     def differences(self, concealed, strength):
-        """What the effect changes in three specimens, whitened and profiled."""
+        """What the effect changes in three specimens that the unknowns cannot, whitened, and their pulls."""
         hidden = {concealed.key: concealed.parameters(strength, self.camera)}
         parts = []
-        for seed, null in zip(SEEDS, self.null, strict=True):
+        for seed, null, left in zip(SEEDS, self.null, self.null_left, strict=True):
             values = self._values(self._shot(f"{concealed.key}_{strength:.6g}_{seed}", hidden, seed))
-            white = self.problem.whitened(np.nan_to_num(values - null))
-            parts.append(self.frame.profiled(white[:, None])[:, 0])
+            parts.append(self._frame(np.where(np.isfinite(values), values, null)).z - left)
         return parts
 
     def sigmas(self, concealed, strength):

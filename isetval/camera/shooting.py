@@ -20,6 +20,7 @@ from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
+LIT_ROLES = ("flat", "edge", "chart")  # a scene has lamps of its own
 
 
 def simulate(
@@ -91,6 +92,7 @@ def shoot(
     """
     model = model.sampled_as(plan.sensor)
     check_sensor(model, plan)
+    check_lights(plan)
     values = values or {}
     camera = camera_with(model, plan, values)
     for shot in plan.shots:
@@ -114,6 +116,7 @@ def shoot_one(
     """The frames of one shot of `shoot`, the same bits: shots may be taken in any order and on any machine."""
     model = model.sampled_as(plan.sensor)
     check_sensor(model, plan)
+    check_lights(plan)
     values, shot = values or {}, plan.shots[number]
     camera = camera_with(model, plan, values)
     factors = frame_levels(plan, shot, seed) if draw else None
@@ -133,6 +136,17 @@ def check_sensor(model: CameraModel, plan: Campaign) -> None:
                 f"the plan {plan.name} has a sensor with {name} {getattr(theirs, name)}, the model {model.name} "
                 f"{getattr(mine, name)}; use the model that belongs to the plan, or name "
                 "this one in it (camera in place of [sensor]; isetval campaign init --camera MODEL drafts a folder so)"
+            )
+
+
+def check_lights(plan: Campaign) -> None:
+    """Refuse a flat, edge or chart that names no light: it would be simulated in the dark."""
+    for shot in plan.shots:
+        if shot.role in LIT_ROLES and shot.light is None:
+            known = ", ".join(plan.lights) or "none yet: [light.NAME] describes one"
+            raise InputError(
+                f"shot {shot.name} of {plan.name}: role {shot.role}, but no light, so that a model would see it in the dark; name "
+                f'the one that it was taken in, light = "NAME" (the campaign has {known})'
             )
 
 

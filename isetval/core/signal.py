@@ -155,6 +155,7 @@ class Signal:
     (bands,) for the spectral units and None behind the quantum efficiency, where the first axis
     holds colour channels (R, G, B; one for MONO) and, behind the colour filter array, one mosaic.
     ``chief_ray_deg`` is the angle of the lens's chief ray to the axis, where a lens stated it: kept up to the mosaic.
+    ``apart_px`` are shifts of the pictures of red, green and blue (to higher columns, to higher rows), each moved as a whole.
     """
 
     layers: tuple[Layer, ...]
@@ -165,6 +166,7 @@ class Signal:
     pupil: Pupil | None = None
     filters: Filters = Filters()
     chief_ray_deg: FieldCurve | None = None
+    apart_px: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -193,8 +195,16 @@ class Signal:
 
     def mixed(self, weights: Float) -> Float:
         """Sums over the bands with ``weights`` (channels, bands): (channels, rows, cols), or what broadcasts to it."""
+        if self.apart_px:
+            own = self.apart_px[1:2] if len(weights) == 1 else self.apart_px
+            return np.concatenate([self._moved(shift).mixed(weights[c : c + 1]) for c, shift in enumerate(own)])
         transfer = self._transfer()
         return np.asarray(sum(layer.mixed(weights, transfer, self.wavelength_nm) for layer in self.layers))
+
+    def _moved(self, shift: tuple[float, float]) -> Signal:
+        """One channel's light, moved as a whole."""
+        still = replace(self, apart_px=())
+        return still.blurred(Moved(lambda wavelength_nm: shift)) if any(shift) else still
 
     def _transfer(self) -> Transfer | None:
         parts = self.transfers if self.pupil is None else (self.pupil.transfer, *self.transfers)
@@ -212,6 +222,12 @@ class Signal:
     def blurred(self, transfer: Transfer) -> Signal:
         """The signal behind one more transfer function."""
         return replace(self, transfers=(*self.transfers, transfer))
+
+    def moved_apart(self, shifts_px: Sequence[tuple[float, float]]) -> Signal:
+        """The signal of which the pictures of red, green and blue are moved each as a whole; further moves add up."""
+        before = self.apart_px or ((0.0, 0.0),) * len(shifts_px)
+        moved = tuple((x + dx, y + dy) for (x, y), (dx, dy) in zip(before, shifts_px, strict=True))
+        return replace(self, apart_px=moved)
 
     def through(self, pupil: Pupil) -> Signal:
         """The signal imaged by another pupil."""

@@ -181,15 +181,26 @@ class QuantumEfficiency(Effect):
         InputError
             If no file is named, or its columns do not fit the sensor's colours.
         """
+        table = self.table()
+        wanted = 1 if context.sensor.cfa == "MONO" else 3
+        if len(table) != wanted:
+            path = resolve_path(self.file, Path(self.base))
+            raise InputError(f"{path}: {len(table)} quantum efficiency columns; a {context.sensor.cfa} sensor needs {wanted}")
+        return self.scale * np.array([spectrum.at(wavelength_nm) for spectrum in table])
+
+    def table(self) -> tuple[Spectrum, ...]:
+        """The curves as the file has them: red, green and blue, or one.
+
+        Raises
+        ------
+        InputError
+            If no file is named, or it is none of curves.
+        """
         if not self.file:
             raise InputError('effect quantum_efficiency: file is empty; name a CSV table, for example file = "qe.csv"')
         path = resolve_path(self.file, Path(self.base))
         stamp = path.stat().st_mtime_ns if path.is_file() else 0
-        table = _table(str(path), stamp)
-        wanted = 1 if context.sensor.cfa == "MONO" else 3
-        if len(table) != wanted:
-            raise InputError(f"{path}: {len(table)} quantum efficiency columns; a {context.sensor.cfa} sensor needs {wanted}")
-        return self.scale * np.array([spectrum.at(wavelength_nm) for spectrum in table])
+        return _table(str(path), stamp)
 
     def _moved_apart(self, context: Context, wavelength_nm: Float, apart_nm: Sequence[Float | float]) -> Float:
         """The same, each channel's curve moved by its own part of ``apart_nm`` (red, green, blue; monochrome: green)."""

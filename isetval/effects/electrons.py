@@ -220,8 +220,10 @@ class BrighterFatter(Effect):
     charges; the strip that changes its owner carries the photocharge of that place.  On one channel that
     is the mean of both pixels, on a colour mosaic the strip lies under the fuller pixel's own filter.
     Variance falls below Poisson and neighbours are positively correlated, both in proportion to the
-    square of the level; each of the four neighbours takes a quarter.  Acts on the mosaic, behind
-    shot_noise and before full_well; edges at two levels show it too.
+    square of the level; each of the four neighbours takes a quarter.  Sensors differ in how: channel stops and gates hold rows
+    and columns apart by different fields (``aspect``), diagonal neighbours take their part (``diagonal``), and how much of what
+    changes its owner came through the fuller pixel's filter depends on how deep it is collected (``fuller``).  Acts on the
+    mosaic, behind shot_noise and before full_well; edges at two levels show it too.
     """
 
     name = "brighter_fatter"
@@ -237,35 +239,48 @@ class BrighterFatter(Effect):
     )
     halo_px = 1
     equation = (
-        "Q + (A/8) sum_nb (Q_nb - Q) F, F = (Q_nb + Q)/2, on a mosaic max: Var = mu (1 - A mu), Cov(nearest) = + A mu^2 / 4"
+        "Q + (A/8) sum_nb (Q_nb - Q) F, F = (Q_nb + Q)/2, on a mosaic p max + (1 - p)(Q_nb + Q)/2; weights of neighbours: "
+        "1 + a along rows, 1 - a along columns, q of the diagonals, all over 1 + q: Var = mu (1 - A mu), Cov(nearest) = + A mu^2 / 4"
     )
     reference = "Antilogus et al., JINST 9 (2014) C03048, eq. 2 (border shift times flux); Astier et al., A&A 629 (2019) A36"
     must_not_change = ("dark",)
 
     a_per_e: float = parameter(0.0, unit="1/e-", low=0.0, high=2e-4, tau=2e-6, doc="relative loss A of variance per electron")
+    fuller: float = parameter(
+        1.0, unit="1", low=0.0, high=1.0, tau=0.5, shape=True, doc="share p of the fuller pixel's charge in the flux, on a mosaic"
+    )
+    diagonal: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.3, shape=True, doc="weight q of a diagonal neighbour")
+    aspect: float = parameter(
+        0.0, unit="1", low=-1.0, high=1.0, tau=0.5, shape=True, doc="a: more along rows, less along columns"
+    )
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Move charge between neighbours; across the window's border stands the mirrored pixel, of the neighbour's colour."""
         if not self.a_per_e:
             return signal
-        values = np.pad(np.broadcast_to(signal.values, (1, *context.window[2:])), ((0, 0), (1, 1), (1, 1)), mode="reflect")
-        mosaic = context.sensor.cfa != "MONO"
+        old = np.pad(np.broadcast_to(signal.values, (1, *context.window[2:])), ((0, 0), (1, 1), (1, 1)), mode="reflect")
+        values = old.copy()
+        fuller = self.fuller if context.sensor.cfa != "MONO" else 0.0
         # half of the charge is there, on average, while the rest arrives: the shift is (A/4) of the difference / 2
-        flows = [self.a_per_e / 8 * _moved(values, axis, donor=mosaic) for axis in (1, 2)]
-        for axis, flow in zip((1, 2), flows, strict=True):
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -1), slice(1, None)
-            values[tuple(low)] += flow
-            values[tuple(high)] -= flow
+        weight = self.a_per_e / 8 / (1 + self.diagonal)
+        every, first, last = slice(None), slice(None, -1), slice(1, None)
+        for share, here, there in (
+            (1 - self.aspect, (every, first, every), (every, last, every)),
+            (1 + self.aspect, (every, every, first), (every, every, last)),
+            (self.diagonal, (every, first, first), (every, last, last)),
+            (self.diagonal, (every, first, last), (every, last, first)),
+        ):
+            if share:
+                flow = weight * share * _moved(old[here], old[there], fuller)
+                values[here] += flow
+                values[there] -= flow
         return signal.with_values(values[:, 1:-1, 1:-1])
 
 
-def _moved(charge: Array, axis: int, *, donor: bool) -> Array:
-    """(Q_high - Q_low) F along an axis, F the fuller pixel's charge (``donor``) or the mean of both."""
-    low = np.take(charge, range(charge.shape[axis] - 1), axis)
-    high = np.take(charge, range(1, charge.shape[axis]), axis)
-    flux = np.maximum(low, high) if donor else (low + high) / 2
-    return np.asarray((high - low) * flux)
+def _moved(low: Array, high: Array, fuller: float) -> Array:
+    """(Q_high - Q_low) F, F the mean of both charges or, by the share ``fuller``, that of the fuller pixel: more by |difference|/2."""
+    difference = high - low
+    return np.asarray(difference * ((low + high) + fuller * np.abs(difference)) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, Scan, parameter
+from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum
 from isetval.core.signal import Layer, Moved, Signal
 from isetval.effects.pupil import REFERENCE_NM, by_dispersion, field_point
 
 Float = NDArray[np.float64]
 GLASS = 1.5  # index of a cover glass, on which the angle inside hangs
+LATERAL_FORMS = ("dispersed", "channels")
 ORDERS_AT_ONCE = 4096  # 13 MB of waves at 400 wavelengths: a cover glass of a millimeter has thousands of orders
 UNIT = 0.01  # an amplitude within its bounds
 ORDER_STEP = 0.005  # orders between which a fringe is a straight line to 2.3e-4 of its height: (2 pi step 550/400)^2/8 at 400 nm
@@ -94,10 +96,11 @@ class Vignetting(Effect):
     )
     must_not_change = ("dark",)
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"power": (2.0, 1.0)}
+    further_shapes = ("power",)
 
     v: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.2, doc="loss at the corner")
     r0: float = parameter(0.6, unit="half diagonal", low=0.0, high=0.99, tau=0.15, shape=True, doc="onset r0")
-    power: float = parameter(2.0, unit="1", low=0.5, high=8.0, shape=True, doc="power with which the loss sets in")
+    power: float = parameter(2.0, unit="1", low=0.5, high=8.0, tau=1.0, shape=True, doc="power with which the loss sets in")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale by the loss of each pixel."""
@@ -244,7 +247,9 @@ class LateralColor(Effect):
     """Magnification that depends on colour: red and blue edges move outwards with the field radius.
 
     The shift of the window's middle is applied to all of the window.  Leaves flats, darks and even
-    charts alone: only edge places of the channels differ.
+    charts alone: only edge places of the channels differ.  ``form`` "dispersed": every wavelength has its own place, as glass
+    makes it, and within a channel's band edges blur.  "channels": the picture of each channel is moved as a whole, as
+    narrow bands see it and as cameras that register their colour planes leave it.
     """
 
     name = "lateral_color"
@@ -259,18 +264,31 @@ class LateralColor(Effect):
         "axial_color",
     )
     free = FreeAxis("field radius", "strength", 0.5)
-    equation = "dx_c = a_c r outwards; a(610) = a_R, a(540) = 0, a(460) = a_B, linear in 1/lambda^2 on either side"
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": LATERAL_FORMS}
+    equation = (
+        "dx = a r outwards; a(610) = a_R, a(540) = 0, a(460) = a_B, linear in 1/lambda^2 on either side; of channels a_R, 0, a_B"
+    )
     reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 11 (lateral color); Cauchy's law for the wavelength"
     must_not_change = ("dark", "flat", "illumination")
 
-    red_px: float = parameter(0.0, unit="px", low=-50.0, high=50.0, tau=0.5, doc="shift a_R at the corner, 610 nm")
-    blue_px: float = parameter(0.0, unit="px", low=-50.0, high=50.0, tau=0.5, doc="shift a_B at the corner, 460 nm")
+    red_px: float = parameter(0.0, unit="px", low=-50.0, high=50.0, tau=0.5, doc="shift a_R at the corner, 610 nm or red")
+    blue_px: float = parameter(0.0, unit="px", low=-50.0, high=50.0, tau=0.5, doc="shift a_B at the corner, 460 nm or blue")
+    form: str = LATERAL_FORMS[0]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.form not in LATERAL_FORMS:
+            raise InputError(
+                f"effect lateral_color: form is {self.form!r}; it needs one of {', '.join(map(repr, LATERAL_FORMS))}"
+            )
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """A phase factor for each wavelength."""
+        """A phase factor for each wavelength, or one for each channel."""
         if not (self.red_px or self.blue_px):
             return signal
         x, y = field_point(context)
+        if self.form == LATERAL_FORMS[1]:
+            return signal.moved_apart([(x * a, y * a) for a in (self.red_px, 0.0, self.blue_px)])
         return signal.blurred(Moved(partial(_outwards, x, y, self._shift)))
 
     def _shift(self, wavelength_nm: Float) -> Float:

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, FreeAxis, parameter
+from isetval.core.effect import Effect, FreeAxis, ParameterInfo, parameter
 from isetval.core.errors import InputError
 from isetval.core.signal import Signal
 from isetval.effects.pupil import REFERENCE_NM
 
 Float = NDArray[np.float64]
 FORMS = ("gaussian", "sin2")
+DIFFUSION_FORMS = ("gaussian", "tail")
 REFERENCE_DEG = 30.0  # angle at which the loss is stated: about the largest chief ray angle of phone lenses
 
 
@@ -30,6 +31,11 @@ def _diffused(fx: Float, fy: Float, wavelength_nm: Float, *, sigma_px: float, gr
     """Transfer function of Gaussian diffusion that grows with wavelength."""
     sigma = sigma_px * np.maximum(0.0, 1 + growth * (wavelength_nm - REFERENCE_NM) / 100)
     return np.asarray(np.exp(-2 * np.pi**2 * sigma**2 * (fx * fx + fy * fy)))
+
+
+def _with_tail(fx: Float, fy: Float, wavelength_nm: Float, *, share: float, length_px: float) -> Float:
+    """Transfer function of which a share falls off exponentially with the distance from an edge."""
+    return np.asarray(1 - share + share / (1 + (2 * np.pi * length_px) ** 2 * (fx * fx + fy * fy)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +73,9 @@ class PixelAperture(Effect):
 class ChargeDiffusion(Effect):
     """Spatial crosstalk: carriers that reach a neighbouring pixel.  Independent of focus, worst in red.
 
-    Confounded with the pixel aperture and with print blur of the chart.
+    ``form`` "gaussian": all of them spread by the same sigma.  "tail": a ``share`` of them was set free where no field draws it,
+    and wanders as far as exp(-|x|/l): contrast falls early and then no further.  Confounded with the pixel aperture and with
+    print blur of the chart.
     """
 
     name = "charge_diffusion"
@@ -82,15 +90,45 @@ class ChargeDiffusion(Effect):
         "interpixel_capacitance",
     )
     free = FreeAxis("frequency", "transfer", 0.5)
-    equation = "MTF x exp(-2 pi^2 sigma^2 f^2), sigma = sigma_c (1 + growth (lambda - 550 nm)/100 nm)"
-    reference = "Janesick, Photon Transfer (SPIE 2007), sec. 10; Gaussian kernel is a convention"
+    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": DIFFUSION_FORMS}
+    equation = (
+        "MTF x exp(-2 pi^2 sigma^2 f^2), sigma = sigma_c (1 + growth (lambda - 550 nm)/100 nm); "
+        "of a tail MTF x (1 - s + s/(1 + (2 pi l f)^2))"
+    )
+    reference = (
+        "Janesick, Photon Transfer (SPIE 2007), sec. 10; Seib, IEEE Trans. Electron Devices 21 (1974) 210 (charge from the bulk "
+        "without field); both kernels are conventions"
+    )
     must_not_change = ("dark", "flat", "illumination")
 
     sigma_px: float = parameter(0.0, unit="px", low=0.0, high=3.0, tau=0.25, doc="standard deviation of the spread at 550 nm")
     growth: float = parameter(0.0, unit="1/100 nm", low=-0.5, high=1.0, tau=0.1, shape=True, doc="growth with wavelength")
+    share: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.05, doc="share s of the carriers in the tail")
+    length_px: float = parameter(1.0, unit="px", low=0.1, high=20.0, tau=0.5, shape=True, doc="decay length l of the tail")
+    form: str = DIFFUSION_FORMS[0]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.form not in DIFFUSION_FORMS:
+            raise InputError(
+                f"effect charge_diffusion: form is {self.form!r}; it needs one of {', '.join(map(repr, DIFFUSION_FORMS))}"
+            )
+        idle = "share" if self.form == DIFFUSION_FORMS[0] else "sigma_px"
+        if getattr(self, idle):
+            raise InputError(
+                f"effect charge_diffusion: {idle} is {getattr(self, idle):g}, which form {self.form!r} does not read; it needs "
+                f"form = {DIFFUSION_FORMS[idle == 'share']!r}"
+            )
+
+    def own_parameters(self) -> tuple[ParameterInfo, ...]:
+        """Strength and growth of a gaussian, or share and length of a tail."""
+        own = ("share", "length_px") if self.form == DIFFUSION_FORMS[1] else ("sigma_px", "growth")
+        return tuple(p for p in self.parameters() if p.name in own)
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """One more transfer function."""
+        if self.share:
+            return signal.blurred(partial(_with_tail, share=self.share, length_px=self.length_px))
         if not self.sigma_px:
             return signal
         return signal.blurred(partial(_diffused, sigma_px=self.sigma_px, growth=self.growth))

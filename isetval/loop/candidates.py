@@ -95,7 +95,7 @@ class Candidate:
     @property
     def shapes(self) -> tuple[ParameterInfo, ...]:
         """Shape parameters that have a prior and are not free yet."""
-        own = [p for p in self.effect.parameters() if p.shape and p.tau is not None]
+        own = [p for p in self.effect.own_parameters() if p.shape and p.tau is not None]
         taken = {p.name for p in self.parameters}
         return tuple(self.scale.width(self.effect, p) for p in own if p.name not in taken)
 

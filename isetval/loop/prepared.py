@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.camera.shooting import check_sensor
+from isetval.camera.outside_grid import light_outside
+from isetval.camera.shooting import check_lights, check_sensor
 from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
@@ -174,6 +175,7 @@ def prepare(
         raise InputError(f"campaign {campaign.name} has no captures; simulate it, or put the files of its shots beside it")
     model = model.sampled_as(campaign.sensor)
     check_sensor(model, campaign)
+    check_lights(campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
     with closing(Runner(jobs, say.counted)) as runner:  # until the predictor goes on with its workers
         nominal = nominal_of(model, campaign, runner)
@@ -197,7 +199,8 @@ def prepare(
         except BaseException:
             predictor.close()  # what was simulated is kept
             raise
-    table = replace(table, notes=(*table.notes, *_without_counterpart(problem), *_filling_up(problem)))
+    outside = light_outside(model, campaign)
+    table = replace(table, notes=(*table.notes, *outside, *_without_counterpart(problem), *_filling_up(problem)))
     return Prepared(model, campaign, table, problem)
 
 

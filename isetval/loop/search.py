@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis
@@ -64,6 +66,13 @@ def _search(case: Investigation, say: Deadline, seen: set[Names]) -> None:
             weigh_neighbours(case)
             continue
         better = _better(case, say, seen, first=turn == 0)
+        if better is None and case.standing.effects and something_unknown(case):
+            shaped = in_best_form(case, case.standing, say, asked=True, heard=_hears(case))
+            if shaped is not case.standing:
+                case.standing = shaped
+                _move_base(case, say)
+                weigh_neighbours(case)
+                continue
         if better is None and not case.standing.names and (faint := likely_in_both(case)):
             fit_each(case, say, of_several_classes(case, faint)[:SHORT_LIST])
             better = _decided(case, say, seen)
@@ -133,14 +142,7 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     """
     if not (case.standing.effects and len(better.effects) > len(case.standing.effects)):
         return better
-    words: dict[Fit, float] = {}
-
-    def heard(found: Hypothesis) -> float:
-        if found is case.standing:
-            return 0.0
-        if found.fitted not in words:
-            (words[found.fitted],) = said(case, [found])
-        return words[found.fitted]
+    heard = _hears(case)
 
     def odds(found: Hypothesis) -> float:
         return found.log_evidence + case.log_prior(found.members) + heard(found)
@@ -152,6 +154,18 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
         return better
     best = max(shaped, key=odds)
     return better if odds(better) - odds(best) > float(np.log(ODDS)) else best
+
+
+def _hears(case: Investigation) -> Callable[[Hypothesis], float]:
+    """What the hold-out says of a fit over what it says of what stands; asked once of each."""
+    words: dict[Fit, float] = {case.standing.fitted: 0.0}
+
+    def heard(found: Hypothesis) -> float:
+        if found.fitted not in words:
+            (words[found.fitted],) = said(case, [found])
+        return words[found.fitted]
+
+    return heard
 
 
 def _close_to(case: Investigation, found: Hypothesis, *, within: float = CLEAR) -> list[Hypothesis]:

@@ -29,7 +29,7 @@ RADII = np.linspace(0.03, 0.99, 33)
 def test_battery(name):
     cls = catalogue()[name]
     plain = cls(**STRENGTHS.get(name, {}))
-    moved = {p.name: p.null + (p.tau or 0) for p in cls.parameters() if not p.shape and p.tau and p.null + p.tau <= p.high}
+    moved = {p.name: p.null + (p.tau or 0) for p in plain.own_parameters() if not p.shape and p.tau and p.null + p.tau <= p.high}
     effect = freed(plain.changed(**(moved | STRENGTHS.get(name, {}))))
     check_effect(effect.changed(free_1=0.5, free_2=-0.5))
 

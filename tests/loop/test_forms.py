@@ -42,7 +42,8 @@ def test_forms_and_shapes_of_a_candidate_are_weighed(camera):
     found = {c.name: c for c in candidates_for(camera)}
     assert [c.effect.form for c in found.values() if c.klass == "pixel_angular_response"] == ["gaussian", "sin2"]
     opened = _openings(fitted_alone(found["vignetting"], 0.01, 0.02), "vignetting")
-    assert [tuple(p.name for p in c.parameters)[1:3] for c in opened] == [("r0",), ("free_1", "free_2"), ("r0", "free_1")]
+    names = [tuple(p.name for p in c.parameters)[1:4] for c in opened]
+    assert names == [("r0",), ("r0", "power"), ("free_1", "free_2", "free_3"), ("r0", "free_1", "free_2")]
     assert all(c.name == "vignetting" and c.prior_weight < found["vignetting"].prior_weight for c in opened)
     assert _openings(fitted_alone(found["read_noise"], 0.5, 0.1), "read_noise") == []  # it states no axis, and has no shape
 
@@ -50,8 +51,9 @@ def test_forms_and_shapes_of_a_candidate_are_weighed(camera):
 def test_a_curve_takes_the_place_of_the_amplitude_that_it_multiplies(camera):
     candidate = next(c for c in candidates_for(camera) if c.name == "vignetting")
     value, sigma = 0.06, 0.0002
-    shaped, curve, both = _openings(fitted_alone(candidate, value, sigma), "vignetting")
+    shaped, further, curve, both = _openings(fitted_alone(candidate, value, sigma), "vignetting")
     assert [p.name for p in shaped.parameters] == ["v", "r0"]
+    assert [p.name for p in further.parameters] == ["v", "r0", "power"]
     assert [p.name for p in curve.parameters][:2] == ["free_1", "free_2"]
     assert [p.name for p in both.parameters][:2] == ["r0", "free_1"]
     assert curve.effect.v == value

@@ -52,7 +52,7 @@ def register(commands: Any, common: argparse.ArgumentParser) -> None:
         "--limit-s",
         metavar="SECONDS",
         type=positive_seconds,
-        help="what it may take, a third of it for naming; what it did not look at it says (default: 900; simulations are kept)",
+        help="what it may take, half of it for naming; what it did not look at it says (default: 900; simulations are kept)",
     )
     curve_options(p)
     p.set_defaults(handler=diagnose, writes_result=True)
@@ -262,7 +262,7 @@ def diagnose(args: argparse.Namespace, console: Console) -> Outcome:
     inputs |= input_hashes(holdout) if holdout is not None else {}
     result: dict[str, Any] = {"kind": "diagnose", "model": model.name, "model_sha256": model.digest(), "campaign": campaign.name}
     result |= found.to_json()
-    hint = {"model": args.model, "diagnosis": args.output or "d.json"}
+    hint = {"model": args.model, "diagnosis": args.output or "d.json", "kept": args.output is not None}
     return Outcome(result, diagnosis_lines(result, hint), FINE, inputs, result["candidates"])
 
 

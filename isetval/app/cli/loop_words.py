@@ -182,7 +182,8 @@ def diagnosis_lines(result: Mapping[str, Any], hint: Mapping[str, Any] | None = 
     stands = result["verdict"] != "unfinished"  # what a search holds when it is stopped may be taken back
     if hint and result["effects"] and stands:
         first = f" {result['effects'][0]['name']}" if len(result["effects"]) == 1 else ""  # none: all of them
-        lines += ["", f"next: isetval add {hint['model']}{first} --from {hint['diagnosis']} -o model2.toml"]
+        kept = "" if hint["kept"] else f" (after the same with -o {hint['diagnosis']}, which keeps this result)"
+        lines += ["", f"next: isetval add {hint['model']}{first} --from {hint['diagnosis']} -o model2.toml{kept}"]
     return lines
 
 
