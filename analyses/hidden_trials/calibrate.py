@@ -1,8 +1,8 @@
 """How many sigmas an effect of the foreign camera stands out by, in a plan, behind the laboratory's unknowns.
 
-Three specimens are shot with the effect and without, and the unknowns are fitted to all of them: a focus error is a shift of focus,
-not its slope.  The difference of whitened residuals and pulls is multiplied with that of another specimen: noise, which is not the
-same in both, drops out.
+Three specimens are shot with the effect and without, and the unknowns are fitted to all of them: a focus error is a shift of
+focus, not its slope.  The difference of whitened residuals and pulls is multiplied with that of another specimen: noise, which
+is not the same in both, drops out.
 """
 
 from __future__ import annotations

@@ -145,8 +145,8 @@ def check_lights(plan: Campaign) -> None:
         if shot.role in LIT_ROLES and shot.light is None:
             known = ", ".join(plan.lights) or "none yet: [light.NAME] describes one"
             raise InputError(
-                f"shot {shot.name} of {plan.name}: role {shot.role}, but no light, so that a model would see it in the dark; name "
-                f'the one that it was taken in, light = "NAME" (the campaign has {known})'
+                f"shot {shot.name} of {plan.name}: role {shot.role}, but no light, so that a model would see it in the dark; "
+                f'name the one that it was taken in, light = "NAME" (the campaign has {known})'
             )
 
 

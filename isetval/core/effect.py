@@ -169,9 +169,9 @@ class Effect:
     that is the exposure time beyond which it acts: each gap between the exposures of a plan is a form; ``lies_at`` names the
     two that are its place in the field and the one that is its width: each window of a plan's flats is a form; ``scan`` is a
     shape that is looked for over all its values. ``forms`` are the shapes that it may have, by field, its own first: each is
-    a candidate of a diagnosis, which weighs shape parameters with a ``tau`` once the effect is named,
-    ``further_shapes`` only beside all others (an onset alone is known ten times as well as with its power); ``of_full_well`` names
-    charges that are stated for a full well of 6,000 e-, and are as much larger in a camera as its own is; ``free`` is the
+    a candidate of a diagnosis, which weighs shape parameters with a ``tau`` once the effect is named, ``further_shapes``
+    only beside all others (an onset alone is known ten times as well as with its power); ``of_full_well`` names charges
+    that are stated for a full well of 6,000 e-, and are as much larger in a camera as its own is; ``free`` is the
     axis along which its form may be any smooth one. With every
     parameter at its null it must be the identity, unless it gives another unit than it acts on.
     """

@@ -240,7 +240,8 @@ class BrighterFatter(Effect):
     halo_px = 1
     equation = (
         "Q + (A/8) sum_nb (Q_nb - Q) F, F = (Q_nb + Q)/2, on a mosaic p max + (1 - p)(Q_nb + Q)/2; weights of neighbours: "
-        "1 + a along rows, 1 - a along columns, q of the diagonals, all over 1 + q: Var = mu (1 - A mu), Cov(nearest) = + A mu^2 / 4"
+        "1 + a along rows, 1 - a along columns, q of the diagonals, all over 1 + q; so that Var = mu (1 - A mu), "
+        "with q = a = 0 Cov(nearest) = A mu^2 / 4"
     )
     reference = "Antilogus et al., JINST 9 (2014) C03048, eq. 2 (border shift times flux); Astier et al., A&A 629 (2019) A36"
     must_not_change = ("dark",)
@@ -278,7 +279,7 @@ class BrighterFatter(Effect):
 
 
 def _moved(low: Array, high: Array, fuller: float) -> Array:
-    """(Q_high - Q_low) F, F the mean of both charges or, by the share ``fuller``, that of the fuller pixel: more by |difference|/2."""
+    """(Q_high - Q_low) F, F the mean of both charges or, by the share ``fuller``, the fuller pixel's: |difference| / 2 more."""
     difference = high - low
     return np.asarray(difference * ((low + high) + fuller * np.abs(difference)) / 2)
 

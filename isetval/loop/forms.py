@@ -203,8 +203,8 @@ def _promising(
     Of an effect that lies far behind the ``lead`` no form is asked for that would have to gain more than the linear
     model can be wrong by; where it is ``asked`` for in the place of another name, the best is worth a fit.
     """
-    own = _form(found, name).parameters
-    more = list({p.name: p for opened in openings for p in opened.parameters if p not in own}.values())
+    stand = _form(found, name).parameters
+    more = list({p.name: p for opened in openings for p in opened.parameters if p not in stand}.values())
     columns = dict(zip((p.name for p in more), _columns(case, found, openings[-1], more).T, strict=True))
     alone = weigh(linear_model(case.problem, found.fitted), ()).log_evidence
     promised: list[Promise] = []

@@ -154,6 +154,22 @@ def test_brighter_fatter_of_one_channel_moves_the_mean_of_both_pixels(place):
     np.testing.assert_allclose(out[50, 126:130], [dark, dark + moved, bright - moved, bright], rtol=1e-12)
 
 
+def test_brighter_fatter_of_other_neighbours_keeps_the_loss_of_variance(place, charge):
+    """Linear about a flat field each neighbour takes its weight: sum of weights A/2 mu, whatever aspect and diagonals are."""
+    a, mean, poke = 4e-6, 4000.0, 40.0
+    effect = BrighterFatter(a_per_e=a, diagonal=0.4, aspect=0.3)
+    values = np.full((1, 256, 256), mean)
+    values[0, 100, 100] += poke
+    out = effect.apply(Signal.of(values, "electron"), place()).values[0] - mean
+    unit = a / 8 / 1.4 * poke * (mean + poke / 2 * 2)  # the fuller pixel's charge on a mosaic
+    np.testing.assert_allclose([out[100, 99], out[100, 101]], 1.3 * unit, rtol=1e-9)
+    np.testing.assert_allclose([out[99, 100], out[101, 100]], 0.7 * unit, rtol=1e-9)
+    np.testing.assert_allclose([out[99, 99], out[99, 101], out[101, 99], out[101, 101]], 0.4 * unit, rtol=1e-9)
+    assert out[100, 100] == pytest.approx(poke - a / 2 * poke * (mean + poke), rel=1e-9)
+    half = replace(effect, fuller=0.0).apply(Signal.of(values, "electron"), place()).values[0] - mean
+    assert half[100, 101] == pytest.approx(1.3 * unit * (mean + poke / 2) / (mean + poke), rel=1e-9)
+
+
 def test_full_well_clips(place):
     values = np.array([[[10.0, 5999.0, 6000.0, 7000.0]]])
     np.testing.assert_array_equal(run(FullWell(well_e=6000), Signal.of(values, "electron"), place())[0], [10, 5999, 6000, 6000])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from isetval.core.errors import InputError
 from isetval.core.scene import EdgeTarget, Scene, Spectrum
 from isetval.core.signal import Layer, Signal
 from isetval.effects.optics_blur import Aperture, Astigmatism, Coma, Defocus, Diffraction, MotionBlur, Spherical
@@ -212,6 +213,38 @@ def test_lateral_colour_moves_edges_outwards_by_colour(place):
         assert edge_shift(effect, context, wavelength_nm) == pytest.approx(shift * x, abs=2e-3)  # window cuts the far tails
     mirrored = place(window=(2896, 0, 128, 128))
     assert edge_shift(effect, mirrored, 610.0) == pytest.approx(-0.8 * x, abs=2e-3)
+
+
+def test_lateral_colour_of_channels_moves_each_as_a_whole(place):
+    """Behind the quantum efficiency red lies as a red edge moved by a_R; no channel is blurred, in whatever light."""
+    context = place(window=CORNER)
+    x, y = (3904 + 64 - 2016) / HALF_PX, (2896 + 64 - 1512) / HALF_PX
+    effect = LateralColor(red_px=0.8, blue_px=-0.5, form="channels")
+    scene = Scene(np.array([450.0, 620.0]), np.ones(2), target=EdgeTarget("e", angle_deg=0.0))
+    edge = PixelAperture(width_px=1.0).apply(Aperture().apply(planar_radiance(scene, context), context), context)
+    signal = effect.apply(edge, context)
+    assert np.allclose(signal.apart_px, [(0.8 * x, 0.8 * y), (0, 0), (-0.5 * x, -0.5 * y)])
+    assert np.allclose(effect.apply(signal, context).apart_px, 2 * np.array(signal.apart_px))
+    weights = np.array([[0.2, 1.0], [1.0, 0.3], [0.4, 0.1]])
+    moved, still = signal.mixed(weights), edge.mixed(weights)
+    for channel, shift in enumerate((0.8 * x, 0.0, -0.5 * x)):
+        profile = (still - moved)[channel].mean(axis=0)
+        assert (profile - profile[0]).sum() / np.ptp(still[channel]) == pytest.approx(shift, abs=2e-3)
+    np.testing.assert_allclose(moved[1], still[1], rtol=1e-12)
+    with pytest.raises(InputError, match="form is 'pixels'"):
+        LateralColor(form="pixels")
+
+
+def test_a_tail_of_diffusion_takes_its_share_of_contrast_early(place, light):
+    (transfer,) = ChargeDiffusion(share=0.12, length_px=1.2, form="tail").apply(light(), place()).transfers
+    for f in (0.0, 0.05, 0.2, 0.5):
+        assert float(transfer(np.array(0.6 * f), np.array(0.8 * f), np.array(550.0))) == pytest.approx(
+            0.88 + 0.12 / (1 + (2 * np.pi * 1.2 * f) ** 2), rel=1e-12
+        )
+    with pytest.raises(InputError, match=r"share is 0\.1"):
+        ChargeDiffusion(share=0.1)
+    with pytest.raises(InputError, match=r"sigma_px is 0\.3"):
+        ChargeDiffusion(sigma_px=0.3, form="tail")
 
 
 def test_distortion_moves_edges_with_the_cube_of_the_radius(place):

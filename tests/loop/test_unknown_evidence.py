@@ -47,6 +47,20 @@ def test_scatter_of_a_family_has_the_normal_density_of_the_data():
     assert log_mixture(np.array([found.along]), np.array([found.number]))[0] == pytest.approx(expected, rel=1e-3)
 
 
+def test_what_the_full_model_denied_is_scatter_though_derivatives_promise_to_mend_it():
+    """An unknown that explains all of a family in the linear model, about a fit that left it there."""
+    column = np.linspace(1, 2, ROWS)[:, None]
+    wide = 40 * column[:, 0] + RNG.standard_normal(ROWS)
+    slight = 0.8 * column[:, 0] + RNG.standard_normal(ROWS)
+    words = "f scatters more than stated"
+    for z, denied in ((wide, True), (slight, False)):
+        linear = model(z, [], 100 * column, dof=50.0)
+        scales = np.array([(50 + z @ z) / (50 + ROWS)]) if denied else weigh(linear, ()).scales
+        found = left_by(linear, scales, patterns(np.ones((ROWS, 1))))[words]
+        assert (found.along == pytest.approx(z @ z)) == denied
+        assert (log_mixture(np.array([found.along]), np.array([found.number]))[0] + found.lift > 30) == denied
+
+
 def test_with_a_scale_of_its_own_the_family_is_weighed_from_one_again():
     """Evidence of a pattern beside a family of uncertain scale: relative to the hypothesis with that scale."""
     z = 2.0 * RNG.standard_normal(ROWS)
