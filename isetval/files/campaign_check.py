@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from isetval.camera.model_file import load_model
+from isetval.camera.outside_grid import light_outside
+from isetval.camera.shooting import LIT_ROLES
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.scene import EdgeTarget
+from isetval.files.campaign_file import camera_file
 from isetval.files.file_facts import WHITE_SHARE, facts_of
 from isetval.files.target_search import edges_in
 from isetval.measure.campaign import analyses
@@ -53,6 +59,22 @@ def check_campaign(campaign: Campaign, *, progress: Progress | None = None) -> l
     return out
 
 
+def doubts_of_all(campaign: Campaign) -> list[str]:
+    """What is doubtful of the whole: tables of the camera that it names, light that is not simulated, names of sessions."""
+    out = []
+    try:
+        path = camera_file(campaign.camera, campaign.folder or Path())
+        out = [] if path is None else light_outside(load_model(path), campaign)
+    except InputError as error:
+        out = [str(error)]
+    sizes = Counter(shot.measurement_session for shot in campaign.shots)
+    for name, count in sizes.items():
+        alike = (other for other in sizes if other != name and other.strip().casefold() == name.strip().casefold())
+        if (other := next(alike, None)) is not None and count < sizes[other]:
+            out.append(f"measurement_session {name!r} ({count} shots) is {other!r} ({sizes[other]}) written otherwise")
+    return out
+
+
 def _doubts(shot: Shot, capture: Capture) -> list[str]:
     """What would be refused or weak, by the first frame."""
     fact = facts_of(shot.name, "", capture)
@@ -68,6 +90,8 @@ def _doubts(shot: Shot, capture: Capture) -> list[str]:
         out.append("it is as dark as a dark")
     if shot.exposure.time_s is None:
         out.append("no exposure time: it cannot be compared with a model")
+    if shot.role in LIT_ROLES and shot.light is None:
+        out.append("no light: it cannot be compared with a model")
     rows, cols = capture.mosaic.shape
     regions = [patch.box for patch in getattr(shot.target, "patches", ())]
     regions += [roi] if (roi := getattr(shot.target, "roi", None)) is not None else []

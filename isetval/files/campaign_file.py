@@ -141,8 +141,8 @@ def _check_exposure(found: Exposure, shot: Shot, path: Path) -> None:
             )
 
 
-def _camera_file(camera: str, folder: Path) -> Path | None:
-    """The model file that a campaign names; ``isetval:NAME`` is an embedded camera."""
+def camera_file(camera: str, folder: Path) -> Path | None:
+    """The model file that a campaign names, in its folder; ``isetval:NAME`` is an embedded camera; None where it names none."""
     if not camera:
         return None
     return model_path(camera) if camera.startswith(PACKAGE_PREFIX) else named_file(camera, folder)
@@ -152,7 +152,7 @@ def _sensor(table: Mapping[str, Any], path: Path, given: CameraModel | None) -> 
     """The sensor, and the camera model as the file names it (empty where another stands in for it)."""
     camera = text(table, "camera", str(path))
     try:
-        file = _camera_file(camera, path.parent)
+        file = camera_file(camera, path.parent)
     except InputError as error:
         if given is None and "sensor" not in table:
             raise InputError(f"{path}: camera: {error}; or state its [sensor] here") from None

@@ -11,7 +11,7 @@ from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
 from isetval.effects.white_tag import WrongWhiteTag
-from isetval.files.campaign_check import check_campaign
+from isetval.files.campaign_check import check_campaign, doubts_of_all
 
 SHOT = {"exposure": Exposure(0.02), "light": "white", "frames": 1, "window": (1464, 1968, 128, 128)}
 
@@ -76,3 +76,31 @@ def test_bright_pixels_at_one_code_below_white_are(light, share, start):
     plan = Campaign("flats", (Shot("flat", "flat", light_level=light, **SHOT),), lights={"white": white}, sensor=model.sensor)
     (row,) = check_campaign(simulate(model, plan, seed=2))
     assert [words.startswith(start) for words in row.doubts] == ([True] if start else [])
+
+
+def test_a_shot_in_no_light_is_a_doubt(campaign):
+    shots = tuple(replace(shot, light=None) if shot.name == "down" else shot for shot in campaign.shots)
+    found = {row.shot: row.doubts for row in check_campaign(replace(campaign, shots=shots))}
+    assert found == {"down": ("no light: it cannot be compared with a model",), "across": ()}
+
+
+def test_a_session_that_is_written_otherwise_is_doubted(campaign):
+    down = campaign.shots[0]
+    names = ("A", "A", "a", "B")
+    shots = [replace(down, name=f"{i}", measurement_session=name) for i, name in enumerate(names)]
+    assert doubts_of_all(replace(campaign, shots=tuple(shots))) == [
+        "measurement_session 'a' (1 shots) is 'A' (2) written otherwise"
+    ]
+    assert doubts_of_all(campaign) == []
+
+
+def test_tables_of_the_camera_are_read(campaign, tmp_path):
+    """An efficiency whose wavelengths fall was found by `compare` only."""
+    model = load_model(data_folder() / "pixel4a" / "camera.toml")
+    (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n400,0.1,0.1,0.1\n700,0.1,0.1,0.1\n", encoding="utf-8")
+    model.replace(replace(model.effect("quantum_efficiency"), file="qe.csv", base=str(tmp_path))).save(tmp_path / "camera.toml")
+    named = replace(campaign, camera="camera.toml", folder=tmp_path)
+    assert doubts_of_all(named) == []
+    (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n700,0.1,0.1,0.1\n400,0.1,0.1,0.1\n", encoding="utf-8")
+    (words,) = doubts_of_all(named)
+    assert "do not rise" in words

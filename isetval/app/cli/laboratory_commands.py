@@ -282,7 +282,7 @@ def campaign_check(args: argparse.Namespace, console: Console) -> Outcome:
     """Read a campaign as measure would, open every file, and tell shot by shot what would be measured and what would not."""
     import isetval
     from isetval.app.cli.tables import text_table
-    from isetval.files.campaign_check import check_campaign
+    from isetval.files.campaign_check import check_campaign, doubts_of_all
     from isetval.files.captures import input_hashes
 
     console.say(f"reading {args.folder}")
@@ -292,10 +292,13 @@ def campaign_check(args: argparse.Namespace, console: Console) -> Outcome:
     body = [(r.shot, r.role, r.session, f"{r.readable}/{r.frames}", " ".join(r.analyses), "; ".join(r.doubts)) for r in rows]
     lines = [f"# {campaign.name}: {sum(bool(r.readable) for r in rows)} of {len(rows)} shots would be measured"]
     lines += text_table(header, body)
-    lines += [f"left out: {file}: {reason}" for file, reason in campaign.captures.skipped]
+    lines += left_out_lines(campaign.captures.skipped)
+    doubts = doubts_of_all(campaign)
+    lines += [f"doubtful: {words}" for words in doubts]
     result = {
         "kind": "campaign check",
         "campaign": campaign.name,
+        "doubts": doubts,
         "shots": [vars(r) for r in rows],
         "skipped": [{"file": file, "reason": reason} for file, reason in campaign.captures.skipped],
     }
