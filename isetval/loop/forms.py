@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from isetval.core.effect import ParameterInfo
 from isetval.effects.free_form import curve_parameters, freed, has_free_form, is_free
 from isetval.loop.candidates import Candidate, Held
-from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, linear_model, refit
+from isetval.loop.evidence import CLOSE_LOG_ODDS, WORTH, Hypothesis, linear_model, refit
 from isetval.loop.investigation import BENDS, CLEAR, Investigation
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
@@ -256,8 +256,10 @@ def _fitted(case: Investigation, promise: Promise, found: Hypothesis) -> Hypothe
     derivatives are so far off that a fit from its end finds no way down (cubic vignetting, answered with a quadratic one 4.6
     sigmas off in each session); where they lead it is lower.
     """
-    fits = [_fitted_from(case, promise, found, further) for further in ({}, promise.values)[: 1 + bool(_shapes_in(promise))]]
-    return max(fits, key=case.score)
+    first = _fitted_from(case, promise, found, {})
+    if not _shapes_in(promise) or case.score(first) - case.score(found) > WORTH * promise.gain:
+        return first
+    return max(first, _fitted_from(case, promise, found, promise.values), key=case.score)
 
 
 def _shapes_in(promise: Promise) -> list[str]:
