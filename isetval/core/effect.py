@@ -246,6 +246,11 @@ class Effect:
         """The effect with the values that a data sheet has, of all that do the very same."""
         return self
 
+    def check_form(self, form: str, forms: Sequence[str]) -> None:
+        """Refuse a form by name that is none of these: InputError."""
+        if form not in forms:
+            raise InputError(f"effect {self.name}: form is {form!r}; it needs one of {', '.join(map(repr, forms))}")
+
     @classmethod
     def files(cls) -> tuple[str, ...]:
         """Names of the fields that name files."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, parameter
-from isetval.core.errors import InputError
 from isetval.core.sensor import black_at, plane_names, plane_position
 from isetval.core.signal import Signal
 
@@ -114,8 +113,7 @@ class GainMapApplied(Effect):
     def __post_init__(self) -> None:
         """InputError for a form that is none."""
         super().__post_init__()
-        if self.form not in GAIN_MAP_FORMS:
-            raise InputError(f"effect {self.name}: form is {self.form!r}; it needs one of {', '.join(GAIN_MAP_FORMS)}")
+        self.check_form(self.form, GAIN_MAP_FORMS)
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale the codes above black."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, FreeAxis, Scan, parameter
-from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum
 from isetval.core.signal import Layer, Moved, Signal
 from isetval.effects.pupil import REFERENCE_NM, by_dispersion, field_point
@@ -277,10 +276,7 @@ class LateralColor(Effect):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.form not in LATERAL_FORMS:
-            raise InputError(
-                f"effect lateral_color: form is {self.form!r}; it needs one of {', '.join(map(repr, LATERAL_FORMS))}"
-            )
+        self.check_form(self.form, LATERAL_FORMS)
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """A phase factor for each wavelength, or one for each channel."""

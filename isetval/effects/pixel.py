@@ -109,10 +109,7 @@ class ChargeDiffusion(Effect):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.form not in DIFFUSION_FORMS:
-            raise InputError(
-                f"effect charge_diffusion: form is {self.form!r}; it needs one of {', '.join(map(repr, DIFFUSION_FORMS))}"
-            )
+        self.check_form(self.form, DIFFUSION_FORMS)
         idle = "share" if self.form == DIFFUSION_FORMS[0] else "sigma_px"
         if getattr(self, idle):
             raise InputError(
