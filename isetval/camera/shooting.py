@@ -16,11 +16,12 @@ from isetval.core.capture import Capture
 from isetval.core.captures import MemoryCaptures
 from isetval.core.context import stream, word
 from isetval.core.errors import InputError
+from isetval.core.scene import RenderedTarget
 from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
-LIT_ROLES = ("flat", "edge", "chart")  # a scene has lamps of its own
+LIT_ROLES = ("flat", "edge", "chart")
 
 
 def simulate(
@@ -139,10 +140,15 @@ def check_sensor(model: CameraModel, plan: Campaign) -> None:
             )
 
 
+def needs_light(shot: Shot) -> bool:
+    """Whether a shot names no light though it has none of its own: rendered scenes have lamps."""
+    return shot.role in LIT_ROLES and shot.light is None and not isinstance(shot.target, RenderedTarget)
+
+
 def check_lights(plan: Campaign) -> None:
     """Refuse a flat, edge or chart that names no light: it would be simulated in the dark."""
     for shot in plan.shots:
-        if shot.role in LIT_ROLES and shot.light is None:
+        if needs_light(shot):
             known = ", ".join(plan.lights) or "none yet: [light.NAME] describes one"
             raise InputError(
                 f"shot {shot.name} of {plan.name}: role {shot.role}, but no light, so that a model would see it in the dark; "

@@ -11,7 +11,7 @@ import numpy as np
 
 from isetval.camera.model_file import load_model
 from isetval.camera.outside_grid import light_outside
-from isetval.camera.shooting import LIT_ROLES
+from isetval.camera.shooting import needs_light
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
@@ -90,7 +90,7 @@ def _doubts(shot: Shot, capture: Capture) -> list[str]:
         out.append("it is as dark as a dark")
     if shot.exposure.time_s is None:
         out.append("no exposure time: it cannot be compared with a model")
-    if shot.role in LIT_ROLES and shot.light is None:
+    if needs_light(shot):
         out.append("no light: it cannot be compared with a model")
     rows, cols = capture.mosaic.shape
     regions = [patch.box for patch in getattr(shot.target, "patches", ())]
