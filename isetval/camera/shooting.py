@@ -92,8 +92,7 @@ def shoot(
     ``rendering(done, total, words)`` is called after every pass of a renderer.
     """
     model = model.sampled_as(plan.sensor)
-    check_sensor(model, plan)
-    check_lights(plan)
+    check_plan(model, plan)
     values = values or {}
     camera = camera_with(model, plan, values)
     for shot in plan.shots:
@@ -116,8 +115,7 @@ def shoot_one(
 ) -> tuple[Capture, ...]:
     """The frames of one shot of `shoot`, the same bits: shots may be taken in any order and on any machine."""
     model = model.sampled_as(plan.sensor)
-    check_sensor(model, plan)
-    check_lights(plan)
+    check_plan(model, plan)
     values, shot = values or {}, plan.shots[number]
     camera = camera_with(model, plan, values)
     factors = frame_levels(plan, shot, seed) if draw else None
@@ -145,8 +143,15 @@ def needs_light(shot: Shot) -> bool:
     return shot.role in LIT_ROLES and shot.light is None and not isinstance(shot.target, RenderedTarget)
 
 
-def check_lights(plan: Campaign) -> None:
-    """Refuse a flat, edge or chart that names no light: it would be simulated in the dark."""
+def check_plan(model: CameraModel, plan: Campaign) -> None:
+    """Refuse what a model cannot shoot.
+
+    Raises
+    ------
+    InputError
+        For a plan that was made for another sensor, or a flat, edge or chart that names no light: it would be shot in the dark.
+    """
+    check_sensor(model, plan)
     for shot in plan.shots:
         if needs_light(shot):
             known = ", ".join(plan.lights) or "none yet: [light.NAME] describes one"

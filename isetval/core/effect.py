@@ -246,10 +246,17 @@ class Effect:
         """The effect with the values that a data sheet has, of all that do the very same."""
         return self
 
-    def check_form(self, form: str, forms: Sequence[str]) -> None:
-        """Refuse a form by name that is none of these: InputError."""
-        if form not in forms:
-            raise InputError(f"effect {self.name}: form is {form!r}; it needs one of {', '.join(map(repr, forms))}")
+    def refuse_idle(self) -> None:
+        """Refuse a number that its form does not read, which would be stated for nothing: InputError."""
+        own = {p.name for p in self.own_parameters()}
+        stated = {f.name: f.default for f in dataclasses.fields(self)}
+        form = getattr(self, "form", "")
+        other = next((f for f in self.forms.get("form", ()) if f != form), "")
+        for name, value in self.values().items():
+            if name not in own and value != stated[name]:
+                raise InputError(
+                    f"effect {self.name}: {name} is {value:g}, which form {form!r} does not read; it needs form = {other!r}"
+                )
 
     @classmethod
     def files(cls) -> tuple[str, ...]:

@@ -269,13 +269,7 @@ class SpectralCrosstalk(Effect):
     def __post_init__(self) -> None:
         """A number that its form does not read would be stated for nothing: InputError."""
         super().__post_init__()
-        own = {p.name for p in self.own_parameters()}
-        idle = [name for name, value in self.values().items() if value and name not in own]
-        if idle:
-            raise InputError(
-                f"effect {self.name}: {idle[0]} is {self.values()[idle[0]]:g}, which form {self.form!r} does not read; it needs "
-                f"form = {CROSSTALK_FORMS[self.form == CROSSTALK_FORMS[0]]!r}"
-            )
+        self.refuse_idle()
 
     def own_parameters(self) -> tuple[ParameterInfo, ...]:
         """The six of a matrix, or the one leak to the neighbors."""

@@ -110,11 +110,6 @@ class GainMapApplied(Effect):
     )
     form: str = GAIN_MAP_FORMS[0]
 
-    def __post_init__(self) -> None:
-        """InputError for a form that is none."""
-        super().__post_init__()
-        self.check_form(self.form, GAIN_MAP_FORMS)
-
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale the codes above black."""
         if not self.corner:

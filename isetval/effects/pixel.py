@@ -108,19 +108,14 @@ class ChargeDiffusion(Effect):
     form: str = DIFFUSION_FORMS[0]
 
     def __post_init__(self) -> None:
+        """A number of the other form: InputError."""
         super().__post_init__()
-        self.check_form(self.form, DIFFUSION_FORMS)
-        idle = "share" if self.form == DIFFUSION_FORMS[0] else "sigma_px"
-        if getattr(self, idle):
-            raise InputError(
-                f"effect charge_diffusion: {idle} is {getattr(self, idle):g}, which form {self.form!r} does not read; it needs "
-                f"form = {DIFFUSION_FORMS[idle == 'share']!r}"
-            )
+        self.refuse_idle()
 
     def own_parameters(self) -> tuple[ParameterInfo, ...]:
-        """Strength and growth of a gaussian, or share and length of a tail."""
-        own = ("share", "length_px") if self.form == DIFFUSION_FORMS[1] else ("sigma_px", "growth")
-        return tuple(p for p in self.parameters() if p.name in own)
+        """Without those of the other form."""
+        idle = ("sigma_px", "growth") if self.form == DIFFUSION_FORMS[1] else ("share", "length_px")
+        return tuple(p for p in self.parameters() if p.name not in idle)
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """One more transfer function."""

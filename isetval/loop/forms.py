@@ -253,19 +253,15 @@ def _fitted(case: Investigation, promise: Promise, found: Hypothesis) -> Hypothe
     """A hypothesis with one of its effects in another form, fitted from where its own fit ended; or from where derivatives lead.
 
     An onset and the power with which a loss sets in make a valley that bends: over steps as long as both are uncertain
-    derivatives are so far off that a fit from its end finds no way down (cubic vignetting, answered with a quadratic one 4.6
-    sigmas off in each session); where they lead it is lower.
+    derivatives are so far off that a fit from its end finds no way down; where they lead it is lower.
     """
+    effect, klass = promise.opened.effect, promise.opened.klass
+    curve = {f"{klass}.{p.name}" for p in curve_parameters(effect)} if is_free(effect) else set()
+    bends = not promise.values.keys() <= curve  # components of a curve are nearly linear
     first = _fitted_from(case, promise, found, {})
-    if not _shapes_in(promise) or case.score(first) - case.score(found) > WORTH * promise.gain:
+    if not bends or case.score(first) - case.score(found) > WORTH * promise.gain:
         return first
     return max(first, _fitted_from(case, promise, found, promise.values), key=case.score)
-
-
-def _shapes_in(promise: Promise) -> list[str]:
-    """Shapes of their own among the further parameters: components of a curve are nearly linear."""
-    curve = {p.name for p in curve_parameters(promise.opened.effect)} if is_free(promise.opened.effect) else set()
-    return [key for key in promise.values if key.split(".")[-1] not in curve]
 
 
 def _fitted_from(case: Investigation, promise: Promise, found: Hypothesis, further: Mapping[str, float]) -> Hypothesis:

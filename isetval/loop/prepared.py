@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
 from isetval.camera.outside_grid import light_outside
-from isetval.camera.shooting import check_lights, check_sensor
+from isetval.camera.shooting import check_plan
 from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
@@ -174,8 +174,7 @@ def prepare(
     if campaign.is_plan:
         raise InputError(f"campaign {campaign.name} has no captures; simulate it, or put the files of its shots beside it")
     model = model.sampled_as(campaign.sensor)
-    check_sensor(model, campaign)
-    check_lights(campaign)
+    check_plan(model, campaign)
     say(f"measuring {len(campaign.shots)} shots of {campaign.name}")
     with closing(Runner(jobs, say.counted)) as runner:  # until the predictor goes on with its workers
         nominal = nominal_of(model, campaign, runner)

@@ -61,26 +61,23 @@ def _search(case: Investigation, say: Deadline, seen: set[Names]) -> None:
     for turn in range(MAX_TURNS):
         shaped = in_best_form(case, case.standing, say)  # before anything else is said to be missing
         if shaped is not case.standing:
-            case.standing = shaped
-            _move_base(case, say)
-            weigh_neighbours(case)
+            _stand(case, say, shaped)
             continue
         better = _better(case, say, seen, first=turn == 0)
-        if better is None and case.standing.effects and something_unknown(case):
-            shaped = in_best_form(case, case.standing, say, asked=True, heard=_hears(case))
-            if shaped is not case.standing:
-                case.standing = shaped
-                _move_base(case, say)
-                weigh_neighbours(case)
-                continue
         if better is None and not case.standing.names and (faint := likely_in_both(case)):
             fit_each(case, say, of_several_classes(case, faint)[:SHORT_LIST])
             better = _decided(case, say, seen)
-        if better is None and (something_unknown(case) or _is_against_priors(case, doubted)):
+        left = better is None and something_unknown(case)
+        if left and case.standing.effects:
+            shaped = in_best_form(case, case.standing, say, asked=True, heard=_hears(case))
+            if shaped is not case.standing:
+                _stand(case, say, shaped)
+                continue
+        if left or (better is None and _is_against_priors(case, doubted)):
             better = _better(case, say, seen, first=turn == 0, far=True)
         if better is None:
             break
-        better = _form_before_name(case, better, say)
+        better = _form_before_name(case, better, say, asked_already=left)
         say(f"named {', '.join(sorted(better.names)) or 'nothing'}")
         seen.add(better.names)
         case.heard = _heard_of(case, better)
@@ -88,6 +85,13 @@ def _search(case: Investigation, say: Deadline, seen: set[Names]) -> None:
         if not case.is_based:
             _move_base(case, say)
         weigh_neighbours(case)
+
+
+def _stand(case: Investigation, say: Deadline, shaped: Hypothesis) -> None:
+    """What stands in another form, weighed at its own base."""
+    case.standing = shaped
+    _move_base(case, say)
+    weigh_neighbours(case)
 
 
 def _settle(case: Investigation, say: Deadline, seen: set[Names]) -> None:
@@ -133,7 +137,7 @@ def _is_against_priors(case: Investigation, doubted: set[Names]) -> bool:
     return bool(against_priors(case))
 
 
-def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypothesis:
+def _form_before_name(case: Investigation, better: Hypothesis, say: Say, *, asked_already: bool) -> Hypothesis:
     """What should stand: where it has more names than what stands, that in another form, if they have not 19 to 1 against it.
 
     What is left over may be too little to be seen as such, and enough for a name that goes with it: a warm-up that comes to an
@@ -147,7 +151,8 @@ def _form_before_name(case: Investigation, better: Hypothesis, say: Say) -> Hypo
     def odds(found: Hypothesis) -> float:
         return found.log_evidence + case.log_prior(found.members) + heard(found)
 
-    asked = [case.standing, *_close_to(case, case.standing)[:BESIDE]]
+    own = [] if asked_already else [case.standing]  # whose best form was fitted in this turn, and is no better
+    asked = [*own, *_close_to(case, case.standing)[:BESIDE]]
     formed = [(own, in_best_form(case, own, say, asked=True, heard=heard)) for own in asked]
     shaped = [found for own, found in formed if found is not own]
     if not shaped:

@@ -20,8 +20,8 @@ AMPLITUDES: Float = np.array([0.5, 1, 2, 4, 8, 16, 32, 64])
 SEEN = 1e-3  # share of a pattern's squared length that all that is free leaves, below which it cannot be told from that
 DENIED = 4.0
 """Mean square that a fit leaves of a family, from which on it scatters by what it leaves: five numbers of a true model show
-more in 1 of 1000.  Derivatives that promise to mend it are those that the full model has denied (places of edges, 1,847 left of
-each of ten rows, by a shift of colors that blurs them as well)."""
+more in 1 of 1000.  Derivatives that promise to mend it are those that the full model has denied (places of edges by a
+shift of colors that blurs them as well)."""
 SCATTERS = "scatters more than stated"
 BOTH, HERE, THERE = "both sessions", "the captures used", "the hold-out"
 Kind = tuple[str, str]

@@ -44,6 +44,8 @@ window = [1464, 1968, 32, 32]
 def test_a_flat_in_no_light_is_refused_by_name(tmp_path, model):
     with pytest.raises(InputError, match=r"shot flat of two: role flat, but no light.*the campaign has sphere"):
         isetval.simulate(model, plan(tmp_path, light=""))
+    with pytest.raises(InputError, match="no light"):
+        isetval.identify(model, plan(tmp_path, light=""))
     captures = isetval.simulate(model, plan(tmp_path))
     unlit = replace(captures, shots=tuple(replace(shot, light=None) for shot in captures.shots))
     with pytest.raises(InputError, match="no light"):
