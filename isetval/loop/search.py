@@ -137,7 +137,7 @@ def _is_against_priors(case: Investigation, doubted: set[Names]) -> bool:
     return bool(against_priors(case))
 
 
-def _form_before_name(case: Investigation, better: Hypothesis, say: Say, *, asked_already: bool) -> Hypothesis:
+def _form_before_name(case: Investigation, better: Hypothesis, say: Say, *, asked_already: bool = False) -> Hypothesis:
     """What should stand: where it has more names than what stands, that in another form, if they have not 19 to 1 against it.
 
     What is left over may be too little to be seen as such, and enough for a name that goes with it: a warm-up that comes to an
