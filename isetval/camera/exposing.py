@@ -32,11 +32,15 @@ def expose(
     mode: Mode = "capture",
     sensor_seed: int | None = None,
     frame_factors: Float | None = None,
+    frame_normals: Float | None = None,
     mean: Float | None = None,
     rounded: bool = True,
     mirrored: frozenset[str] = frozenset(),
 ) -> tuple[Capture, ...]:
     """The frames of one shot; ``mean`` replaces the light, effects ``mirrored`` draw their noise with the other sign.
+
+    The light of each frame is ``frame_factors`` (frames,) times as strong; ``frame_normals`` (frames,) stand for what effects
+    draw for a frame as a whole.
 
     Expected frames need not be ``rounded`` to codes; a little of their dither stays, or estimators would meet data without any
     noise.  Derivatives that are not are `dithered`.
@@ -58,7 +62,8 @@ def expose(
         codes = np.zeros(mean.shape, np.uint16 if rounded else np.float32)
         for roi, part in zip(parts, lit, strict=True):
             before = np.atleast_2d((setup.before_e + (setup.stands_for - 1) * part) / setup.stands_for) if frame == 0 else part
-            own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian)
+            of_frame = None if frame_normals is None else float(frame_normals[frame])
+            own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian, of_frame=of_frame)
             if setup.regions:
                 own = own.but(window=(row0 + roi.row0, col0 + roi.col0, *part.shape), shot_window=context.window)
             dn = electronics(model, part, own, factor=float(factor), threads=threads)

@@ -90,7 +90,7 @@ class Context:
     *derivative* (common random numbers, see `poisson`) or *expected* (no frame noise).  Effects that ``mirrored`` names draw
     their unit normals with the other ``sign``: the mean over both is free of what is linear in them (antithetic variates;
     Hammersley and Morton, Proc. Camb. Phil. Soc. 52 (1956) 449).  Codes of a derivative that are ``dithered`` are not rounded:
-    see `isetval.camera.exposing.dithered`.
+    see `isetval.camera.exposing.dithered`.  ``of_frame`` stands for the normal of the frame as a whole.
     """
 
     sensor: Sensor
@@ -117,6 +117,7 @@ class Context:
     mirrored: frozenset[str] = frozenset()
     sign: int = 1
     dithered: bool = False
+    of_frame: float | None = None
 
     def for_effect(self, name: str, occurrence: int) -> Context:
         """The same place with the random streams of one effect."""
@@ -177,8 +178,8 @@ class Context:
         return self._signed(self.frame_rng().standard_normal(self.sensor.rows))
 
     def frame_normal(self) -> float:
-        """A unit normal of this frame as a whole."""
-        return self.sign * float(self.frame_rng().standard_normal())
+        """A unit normal of this frame as a whole; ``of_frame`` where that is given."""
+        return self.sign * float(self.frame_rng().standard_normal() if self.of_frame is None else self.of_frame)
 
     def _signed(self, normals: NDArray[Any]) -> NDArray[Any]:
         return normals if self.sign > 0 else -normals

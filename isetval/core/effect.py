@@ -165,6 +165,7 @@ class Effect:
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,
     ``for_unstated_chief_ray`` that it is the form for models in which none does (no candidate beside one that does);
+    ``light_by_frame`` that it changes the light of each frame as a whole by `Context.frame_normal`;
     ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter
     that is the exposure time beyond which it acts: each gap between the exposures of a plan is a form; ``lies_at`` names the
     two that are its place in the field and the one that is its width: each window of a plan's flats is a form; ``scan`` is a
@@ -204,6 +205,7 @@ class Effect:
     replaces: ClassVar[tuple[str, ...]] = ()
     needs_chief_ray: ClassVar[bool] = False
     for_unstated_chief_ray: ClassVar[bool] = False
+    light_by_frame: ClassVar[bool] = False
     per_light: ClassVar[bool] = False
     switches_at: ClassVar[str] = ""
     lies_at: ClassVar[tuple[str, ...]] = ()

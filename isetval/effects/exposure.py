@@ -67,6 +67,7 @@ class Flicker(Effect):
         "rolling_flicker",
     )
     free = FreeAxis("exposure", "strength", 0.5)
+    light_by_frame = True
     equation = "mu x max(0, 1 + sigma z), z one unit normal per frame"
     reference = "EMVA Standard 1288 Release 4.0, sec. 6.2 (stability of the light source)"
     must_not_change = ("dark", "edge")

@@ -12,12 +12,14 @@ from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.parameter import Parameter
 from isetval.loop.effect_columns import effect_slopes
+from isetval.loop.focus_chain import film_um, shots_in_focus
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Column, Problem
 from isetval.loop.slopes import SCALED, slopes
 
 Float = NDArray[np.float64]
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
+FOCUS_ENDS = 0.25  # of that, where a fit ends: slopes by focus go through zero at best focus, and grow with the distance from it
 STRAIGHT = (
     4.0  # sigmas of a finite step where metrics bend: of both sides the cubic part is left, and frames without noise add none
 )
@@ -50,12 +52,12 @@ def jacobian(
 ) -> Float:
     """Whitened derivatives (kept rows, parameters) at a point, by common random numbers.
 
-    Columns of nuisances are remembered, and taken again where the problem bends: when one that is `curved`
-    and shares rows with them has moved by more than ``stale`` of its prior sigmas, or a relative one by a tenth; in the
-    shots that feel it.  With ``both_sides`` columns of effects are central differences: a variance goes as the square of its
-    parameter; those taken near by are remembered, too (`isetval.loop.effect_columns`).
+    Columns of nuisances are remembered, and taken again where the problem bends: when one that is `curved` and shares rows with
+    them has moved by more than ``stale`` of its prior sigmas, or a relative one by a tenth; in the shots that feel it.  An effect
+    that moves the film moves focus as a focus error does.  With ``both_sides`` columns of effects are central differences: a
+    variance goes as the square of its parameter; those taken near by are remembered, too (`isetval.loop.effect_columns`).
     """
-    moved = _moved(problem, point, free, stale)
+    moved = _moved(problem, point, free, stale, stale * (FOCUS_ENDS if both_sides else 1.0))
     _renew(problem, point, [f for f in free if f.label in moved], moved)
     unknown = [f for f in free if f.is_nuisance and f.label not in problem.columns]
     here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
@@ -63,7 +65,8 @@ def jacobian(
         some = bool(problem.columns)
         felt = replace(problem, predictor=problem.predictor.that_feel({f.label for f in unknown})) if some else problem
         slopes_here = zip(unknown, _local(felt, point, unknown), strict=True)
-        problem.columns |= {f.label: Column(slope, here) for f, slope in slopes_here}
+        film = film_um(problem, point.model)
+        problem.columns |= {f.label: Column(slope, here, film) for f, slope in slopes_here}
     effects = [f for f in free if not f.is_nuisance]
     focus = [f for f in free if f.focus]
     own = effect_slopes(problem, point, effects, focus, both_sides=both_sides, anew=stale == 0.0)
@@ -72,15 +75,28 @@ def jacobian(
     return problem.whitened(np.column_stack([own[f.label] if f.label in own else problem.columns[f.label].slope for f in free]))
 
 
-def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float) -> dict[str, list[str]]:
-    """Nuisances whose remembered column no longer holds at a point, and those that moved too far for it."""
+def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float, focus: float) -> dict[str, list[str]]:
+    """Nuisances whose remembered column no longer holds at a point, and those that moved too far for it.
+
+    ``stale`` are prior sigmas that curved ones may have moved, ``focus`` those of focus errors.
+    """
     known = [(f.label, problem.columns[f.label]) for f in free if f.label in problem.columns]
-    curved = {f.label: stale * f.reach for f in free if f.curved}
+    curved = {f.label: (focus if f.focus else stale) * f.reach for f in free if f.curved}
     limits = {f.label: SCALED for f in free if f.unit == "relative"} | curved
     rows = {key: column.slope != 0 for key, column in known}
+    film = film_um(problem, point.model)
+    shots = shots_in_focus(problem, [f for f in free if f.focus]) if film or any(column.film_um for _, column in known) else {}
+    for key in shots.keys() & rows.keys():  # at best focus sharpness does not feel focus, and the film may leave it
+        rows[key] = rows[key] | np.isin([m.shot for m in problem.predictor.table.metrics], [shot.name for shot in shots[key]])
+
+    def way(k: str, column: Column) -> float:
+        own = point.values.get(k, 0.0) - column.taken_at.get(k, 0.0)
+        by_film = [film.get(s.name, 0.0) - column.film_um.get(s.name, 0.0) for s in shots.get(k, ())]
+        return max((abs(own + shift) for shift in by_film), default=abs(own))
+
     out = {}
     for key, column in known:
-        moved = (k for k in rows if abs(point.values.get(k, 0.0) - column.taken_at.get(k, 0.0)) > limits.get(k, np.inf))
+        moved = (k for k in rows if way(k, column) > limits.get(k, np.inf))
         if causes := [k for k in moved if (k in curved if k == key else np.any(rows[k] & rows[key]))]:
             out[key] = causes
     return out
@@ -90,15 +106,20 @@ def _renew(problem: Problem, point: Point, stale: Sequence[Parameter], moved: Ma
     """Take columns anew in the shots that feel what has moved; in all others they hold as they are."""
     if not stale:
         return
-    part = problem.predictor.that_feel({k for f in stale for k in moved[f.label]})
-    whole = part is problem.predictor
+    felt = replace(problem, predictor=problem.predictor.that_feel({k for f in stale for k in moved[f.label]}))
+    part, whole = felt.predictor, felt.predictor is problem.predictor
     here = {k: point.values.get(k, 0.0) for k in problem.columns}
-    for f, slope in zip(stale, _local(replace(problem, predictor=part), point, stale), strict=True):
+    film = film_um(felt, point.model)
+    for f, slope in zip(stale, _local(felt, point, stale), strict=True):
         old = problem.columns[f.label]
         problem.columns[f.label] = (
-            Column(slope, here)
+            Column(slope, here, film)
             if whole
-            else Column(np.where(part.predicted, slope, old.slope), {**old.taken_at, **{k: here[k] for k in moved[f.label]}})
+            else Column(
+                np.where(part.predicted, slope, old.slope),
+                {**old.taken_at, **{k: here[k] for k in moved[f.label]}},
+                {**old.film_um, **film},
+            )
         )
 
 

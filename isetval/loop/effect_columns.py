@@ -66,8 +66,11 @@ def effect_slopes(
 
 
 def _is_smooth(effect: Effect) -> bool:
-    """Whether its derivatives are those of its parameters alone, and not of which few pixels it happens to strike."""
-    return effect.random == "none" or effect.draws_normals
+    """Whether its derivatives are those of its parameters alone, and not of which few pixels it happens to strike.
+
+    Nor go as the square of a noise: how far frames scatter is stated by a cube root.
+    """
+    return effect.random == "none" or (effect.draws_normals and not effect.light_by_frame)
 
 
 def _at_its_strength(wanted: _Wanted, taken: Taken) -> Float:

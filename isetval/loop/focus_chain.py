@@ -21,11 +21,27 @@ from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 
 Float = NDArray[np.float64]
+SHARP = ("edge", "chart")  # roles in which sharpness shows
 
 
 def moves_focus(effect: Effect) -> bool:
     """Whether an effect moves the film, as shots' focus errors do."""
     return type(effect).focus_shift_um is not Effect.focus_shift_um
+
+
+def film_um(problem: Problem, model: CameraModel) -> dict[str, float]:
+    """By how much a model's effects move the film in each shot of edges or a chart, um; empty where none does."""
+    shifting = [e for e in model.effects if moves_focus(e)]
+    edges = [shot for shot in problem.predictor.shots if shot.role in SHARP] if shifting else []
+    contexts = {shot.name: make_context(model, ShotSetup(shot)) for shot in edges}
+    return {name: float(sum(e.focus_shift_um(context) for e in shifting)) for name, context in contexts.items()}
+
+
+def shots_in_focus(problem: Problem, focus: Sequence[Parameter]) -> dict[str, list[Shot]]:
+    """The shots of edges and charts that each focus error acts on, by its label."""
+    acting = {shot.name: {label for _, label in problem.plan.nuisances_of(shot)} for shot in problem.predictor.shots}
+    edges = [shot for shot in problem.predictor.shots if shot.role in SHARP]
+    return {f.label: [shot for shot in edges if f.label in acting[shot.name]] for f in focus}
 
 
 def focus_shifts(problem: Problem, model: CameraModel, focus: Sequence[Parameter]) -> dict[str, float]:

@@ -19,6 +19,7 @@ from isetval.core.context import Mode
 from isetval.core.metric import Block, Metric, MetricTable
 from isetval.core.sensor import Window
 from isetval.loop.block_factor import of_blocks, part_of, scaled
+from isetval.loop.frame_light import light_of_frames
 from isetval.measure.given import is_whole_field
 
 Float = NDArray[np.float64]
@@ -83,11 +84,15 @@ def shoot(
     choices: Mapping[str, Any],
     rounded: bool = True,
     mirrored: frozenset[str] = frozenset(),
+    flicker: float = 0.0,
 ) -> tuple[Capture, ...]:
     """The captures of a shot: without noise for metrics of the whole field, at every wanted level for noise against level."""
     given = choices.get(f"{setup.shot.name}/given")
     if given is None or not given["alone"]:
-        return expose(camera, setup, seed, mode=mode, rounded=rounded, mirrored=mirrored)
+        factors, normals = light_of_frames(setup.shot, flicker, seed, drawn=mode == "capture")
+        return expose(
+            camera, setup, seed, mode=mode, rounded=rounded, mirrored=mirrored, frame_factors=factors, frame_normals=normals
+        )
     if is_whole_field(given):
         return (_without_rounding(camera, setup),)
     levels = _levels(camera, given["wanted"].metrics)

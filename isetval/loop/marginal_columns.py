@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.core.campaign import Nuisance, Shot
 from isetval.core.scene import ChartTarget
+from isetval.loop.frame_light import flicker_of
 from isetval.loop.prediction import Predictor
 from isetval.loop.problem import Problem
 from isetval.measure.noise.statistics import tilt_power
@@ -37,7 +38,8 @@ def marginal_columns(problem: Problem) -> tuple[Float, Float]:
     """Columns (metrics, k) per sigma of what is integrated and not fitted: of what flickers, of colors that nobody knows."""
     nothing = np.zeros((len(problem.predictor.table.metrics), 0))
     frames = [n for n in problem.plan.nuisances if n.marginalised and n.scope == "frame"]
-    flicker = _frame_columns(problem, frames, _light_slope(problem, FLICKER_STEP)) if frames else []
+    flickers = bool(frames) or any(effect.light_by_frame for effect in problem.nominal.effects)
+    flicker = _frame_columns(problem, frames, _light_slope(problem, FLICKER_STEP)) if flickers else []
     colors = _color_columns(problem, [n for n in problem.plan.nuisances if n.parameter == "patch_color"])
     return np.column_stack([nothing, *flicker]), np.column_stack([nothing, *colors])
 
@@ -72,6 +74,7 @@ def _frame_columns(problem: Problem, priors: Sequence[Nuisance], slope: Float) -
     out = []
     for shot in predictor.shots:
         whole, patchwise = (_of_frame(priors, parameter, shot) for parameter in ("light_level", "patch_reflectance"))
+        whole = float(np.hypot(whole, flicker_of(problem.nominal, shot) / np.sqrt(shot.frames)))
         column = np.zeros_like(slope)
         column[predictor.rows[shot.name]] = slope[predictor.rows[shot.name]]
         if whole:

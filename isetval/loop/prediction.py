@@ -29,6 +29,7 @@ from isetval.core.sensor import Roi
 from isetval.loop.base import Base, averaged, gathered, scattered
 from isetval.loop.block_factor import of_blocks, scaled
 from isetval.loop.difference_frames import DifferenceFrames
+from isetval.loop.frame_light import stated_flicker
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
 from isetval.loop.shot_groups import by_shot, for_differences, joint_differences, of_one_picture
@@ -36,6 +37,7 @@ from isetval.loop.shot_task import Halves, Rows, Sampled, ShotPart, render_part,
 from isetval.loop.stand_ins import of_shot, renamed, stand_ins
 from isetval.loop.task_runner import Call, Runner
 from isetval.loop.telling import Counted
+from isetval.measure.analyses.flat_fields import FRAME_SCATTER
 from isetval.measure.works import Work
 
 Float = NDArray[np.float64]
@@ -96,6 +98,7 @@ class Predictor:
         self.table = table
         self.usual = None if usual is None else frozenset(usual)
         self.keys = [m.key() for m in table.metrics]
+        given = {shot.name for shot in self.plan.shots if shot.given is not None}
         self.place = {key: i for i, key in enumerate(self.keys)}
         by_shot: dict[str, list[int]] = {}
         for i, m in enumerate(table.metrics):
@@ -107,6 +110,7 @@ class Predictor:
         plan_keys = {name: self._keys_of(name, (rows or {}).get(name, ())) for name in own_keys}
         self._wanted = {name: Rows.of(list(dict.fromkeys([*plan_keys[name], *own]))) for name, own in own_keys.items()}
         self.pick = {name: self._wanted[name].places(own) for name, own in own_keys.items()}
+        self._scatters = np.array([m.name == FRAME_SCATTER and m.shot not in given for m in table.metrics], bool)
         self._number = of_one_picture(self.shots)
         self.differences = {shot.name: joint_differences(table, shot.name) for shot in self.shots}
         self._choices = {s.name: of_shot(table.choices, s.name, self._simulated[s.name].name) for s in self.shots}
@@ -224,7 +228,8 @@ class Predictor:
         if mode == "expected":
             rounded = not how.noise_free or shot.given is not None
         seed = seed if is_noisy(shot, choices) else 0
-        return ShotPart(camera, setup, seed, mode, choices, halves, chosen, shot.name, rounded, mirrored)
+        flicker = stated_flicker(self.plan, shot)
+        return ShotPart(camera, setup, seed, mode, choices, halves, chosen, shot.name, rounded, mirrored, flicker)
 
     def derivative_vectors(
         self,
@@ -271,6 +276,7 @@ class Predictor:
             for shot, *_ in own:
                 for way in how[shot.name]:
                     total[self.rows[shot.name]] += way.share * next(results) / count[shot.name]
+            total[self._scatters] = np.cbrt(total[self._scatters])
             out.append(total)
         return out
 

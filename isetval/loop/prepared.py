@@ -18,6 +18,7 @@ from isetval.core.campaign import Campaign, Shot
 from isetval.core.errors import InputError
 from isetval.core.given import row_words
 from isetval.core.metric import MetricTable
+from isetval.loop.best_focus import off_best_focus
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import FAR, Fit, far_values, fit, moved_far, told_here
 from isetval.loop.given_side import given_rows
@@ -115,7 +116,7 @@ class Prepared:
             if nominal is not None and _is_astray(nominal):
                 nominal = None
             self.fits[key] = (
-                fit(problem, deepest(problem, Point(model), free), free)
+                fit(problem, deepest(problem, off_best_focus(problem, Point(model), free), free), free)
                 if nominal is None
                 else fit(problem, Point(model, nominal.point.values), free, pose=nominal.pose)
             )

@@ -23,10 +23,14 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Raw derivatives (metrics,) by a nuisance, and the values of the nuisances where they were taken."""
+    """Raw derivatives (metrics,) by a nuisance, and the values of the nuisances where they were taken.
+
+    ``film_um`` is by how much the model's effects moved the film there, by shot.
+    """
 
     slope: Float
     taken_at: Mapping[str, float]
+    film_um: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

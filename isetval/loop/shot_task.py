@@ -77,7 +77,7 @@ class ShotPart:
     ``of`` is the name of the plan's shot, of which the simulated one may bear another (`isetval.loop.stand_ins`).
     Frames are ``rounded`` to codes where their estimators count codes, or where noise is too narrow for a dither to stand for
     it: differences of frames that are not follow their parameters without steps.  Effects that ``mirrored`` names draw their
-    unit normals with the other sign.
+    unit normals with the other sign.  ``flicker`` is what the plan states of the light from frame to frame.
     """
 
     model: CameraModel
@@ -90,6 +90,7 @@ class ShotPart:
     of: str
     rounded: bool = True
     mirrored: frozenset[str] = frozenset()
+    flicker: float = 0.0
 
     @cached_property
     def key(self) -> str:
@@ -101,7 +102,9 @@ class ShotPart:
         shot = self.setup.shot
         frames = (shot.frames, self.setup.stands_for, self.setup.before_e)
         turned = sorted(self.mirrored)
-        return repr((self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen, *turned))
+        return repr(
+            (self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen, self.flicker, *turned)
+        )
 
     def key_of_light(self, mean: Float) -> str:
         """The same, by the light that came out in place of what it was made from."""
@@ -252,4 +255,5 @@ def _frames_of(task: ShotPart) -> tuple[Capture, ...]:
         choices=task.choices,
         rounded=task.rounded,
         mirrored=task.mirrored,
+        flicker=task.flicker,
     )

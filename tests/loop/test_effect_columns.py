@@ -111,7 +111,7 @@ def test_a_difference_from_one_side_is_no_central_one(model, problem, taken):
     assert taken == list(bent.keys)
 
 
-@pytest.mark.parametrize(("name", "value"), [("row_fpn", 0.5), ("temporal_row_noise", 0.5), ("dsnu", 5.0), ("flicker", 0.02)])
+@pytest.mark.parametrize(("name", "value"), [("row_fpn", 0.5), ("temporal_row_noise", 0.5), ("dsnu", 5.0)])
 def test_noise_is_remembered_with_its_draws_and_grows_with_its_strength(model, problem, taken, name, value):
     noise = candidate(model, name)
     drawn = problem.with_draws(NOISE_SEEDS)
@@ -126,6 +126,15 @@ def test_noise_is_remembered_with_its_draws_and_grows_with_its_strength(model, p
     taken.clear()
     columns(problem, (noise, value), both_sides=True, step=step)  # over one draw
     assert taken == list(noise.keys)
+
+
+def test_a_flicker_is_differenced_at_its_strength(model, problem, taken):
+    """How far frames scatter goes as the cube root of its square."""
+    flicker = candidate(model, "flicker")
+    first, second = (columns(problem, (flicker, value), both_sides=True, step=0.002)[:, -1] for value in (0.02, 0.021))
+    assert taken == [*flicker.keys, *flicker.keys]
+    scatter = np.argmax(np.abs(first))
+    assert second[scatter] / first[scatter] == pytest.approx(1.05 ** (-1 / 3), rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["rts", "hot_pixels"])

@@ -13,6 +13,7 @@ from isetval.loop.block_factor import factor
 from isetval.loop.evidence import linear_model
 from isetval.loop.family_scales import Families
 from isetval.loop.gaussian import TOWARDS_ONE
+from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.subset_sum import Term, weigh_all
 from isetval.loop.weighing import weigh
@@ -38,7 +39,9 @@ def problem_of(seed, family="mtf", count=False):
     predictor = SimpleNamespace(plan=Campaign("plan", ()), table=table, noise_free=np.zeros(ROWS, bool))
     base = Base(values.mean(axis=0), csr_array(stated), values, np.ones(ROWS))
     (measured,) = seen(1)
-    problem = Problem(predictor, None, base, measured, np.arange(ROWS), factor(stated), base.mean, stated)
+    problem = Problem(
+        predictor, Point(SimpleNamespace(effects=())), base, measured, np.arange(ROWS), factor(stated), base.mean, stated
+    )
     weigh(problem)
     return problem, np.tile(moving[:, 0], EDGES)
 

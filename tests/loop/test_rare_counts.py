@@ -10,6 +10,7 @@ from scipy.stats import norm, poisson
 from isetval.core.campaign import Campaign
 from isetval.core.metric import Metric
 from isetval.loop.base import Base
+from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.weighing import weigh
 
@@ -29,7 +30,9 @@ def whitened(found, rate, seed=0):
     predictor = SimpleNamespace(plan=Campaign("plan", ()), table=table, noise_free=np.zeros(1, bool))
     base = Base(values.mean(axis=0), csr_array(np.eye(1)), values, np.ones(1))
     measured = np.array([float(root(found))])
-    problem = Problem(predictor, None, base, measured, np.arange(1), np.eye(1), base.mean, base.covariance)
+    problem = Problem(
+        predictor, Point(SimpleNamespace(effects=())), base, measured, np.arange(1), np.eye(1), base.mean, base.covariance
+    )
     weigh(problem)
     return float(problem.whitened(problem.measured - base.mean)[0])
 

@@ -17,6 +17,7 @@ from isetval.core.metric import Block, Differences, Metric
 from isetval.core.quantity import Quantity
 from isetval.measure.conditions import VALUES_ALONE, metric, shot_conditions, window_label
 from isetval.measure.noise.code_counts import code_counts
+from isetval.measure.noise.frame_scatter import LEAST_FRAMES, frame_scatter, level_variance
 from isetval.measure.noise.statistics import PlaneStatistics, dark_statistics, flat_statistics, frame_drift, tilt_power
 
 Float = NDArray[np.float64]
@@ -25,7 +26,6 @@ DRAWS = {"dark": 12, "flat": 4}
 """Specimens over which differences of a rare pattern are averaged: a few hot pixels scatter by 1/sqrt(draws); a dark costs a
 tenth of a flat."""
 PLATEAU_SIGMA_DN = 0.3  # a clipped plane has no noise of its own: rounding
-LEAST_FRAMES = 4  # for a drift: with fewer the scatter about it is not known at all
 MOST_ALIKE = 0.99  # correlation that is stated at most: beyond it one row's rounding would decide a difference
 SATURATED = 0.5  # of the pixels clipped: what is left is no distribution
 TOUCHED = 1e-3  # of the pixels clipped: beyond it the variance is biased by more than its sigma
@@ -39,6 +39,7 @@ QUANTITIES = {
     "gradient_row_dn": ("gradient", "DN"),
     "gradient_column_dn": ("gradient", "DN"),
 }
+FRAME_SCATTER = "frame_scatter"
 GIVES = ("mean", "temporal_variance", "row_noise_variance", "fixed_pixel_variance", "fixed_row_variance", "fixed_column_variance")
 COUNTS = {
     "outlier_fraction": ("outliers", 0.85),
@@ -108,6 +109,8 @@ def analyze(shot: Shot, captures: Sequence[Capture], choices: Mapping[str, Any])
             for row, common in _counts(shot, conditions, plane, plane_statistics):
                 shared.setdefault(f"{shot.role}:defects:{plane}:{window_label(shot)}", []).append((len(rows), common))
                 rows.append(row)
+    if whole and shot.role == "flat":
+        rows += _scatter_of_frames(shot, conditions, [statistics[plane] for plane in planes], values_alone)
     if whole:
         for row, of_specimen in _pattern_neighbors(shot, conditions, [statistics[plane] for plane in planes]):
             shared.setdefault(f"{shot.role}:pattern:{row.region}:{window_label(shot)}", []).append((len(rows), of_specimen))
@@ -160,6 +163,22 @@ def _drift(shot: Shot, conditions: dict[str, Any], statistics: PlaneStatistics) 
     rise = frame_drift(statistics.frame_means_dn, statistics.frame_mean_sigma_dn)
     family = f"{shot.role}_frame_drift"
     return [metric(conditions, "frame_drift", rise.value, rise.sigma, "DN", channel=statistics.plane, family=family)]
+
+
+def _scatter_of_frames(
+    shot: Shot, conditions: dict[str, Any], planes: Sequence[PlaneStatistics], values_alone: bool
+) -> list[Metric]:
+    """How far the levels of a flat's frames scatter, all planes together (`frame_scatter`); for differences the variance itself.
+
+    Differences are means over draws: that of a variance follows what a light that flickers adds, its cube root does not.
+    """
+    total = np.sum([plane.frame_means_dn for plane in planes], axis=0)
+    level = float(np.mean(total))
+    if planes[0].frames < 2 or level <= 0:
+        return []
+    found = frame_scatter(total / level, sum(plane.frame_mean_sigma_dn**2 for plane in planes) / level**2)
+    value = level_variance(total / level)[0] if values_alone else found.value
+    return [metric(conditions, FRAME_SCATTER, value, found.sigma, "1", channel="mosaic", family=f"{shot.role}_{FRAME_SCATTER}")]
 
 
 def _clipped(captures: Sequence[Capture], plane: str) -> float:
