@@ -229,3 +229,18 @@ def test_what_is_denied_for_its_number_of_names_holds_no_probability():
     told = _that_are_asked_for(case, logs)
     assert set(told) == {form, better, beside, frozenset({"a"})}
     assert all(told[names] == logs[names] for names in told)
+
+
+def test_what_one_specimen_shows_in_both_sessions_is_one_word():
+    """A fixed row variance that stood 3.7 sigmas off by chance did so in both, and made a right name partial."""
+    columns = np.eye(ROWS)[:, :2]
+    z = RNG.standard_normal(ROWS)
+    z[:2] = 3.7
+    linear = model(z, [], dof=SURE_SCALES)
+    words = ("flat_fixed_row_variance differs for channel R", "flat_mean differs for channel R")
+    found = left_by(linear, weigh(linear, ()).scales, patterns(columns, words))
+    unknown = Unknown.of(found, found)
+    told = dict(zip(unknown.kinds, unknown.gain, strict=True))
+    assert told[words[0], HERE] == told[words[0], THERE] == pytest.approx(3.7**2, rel=0.01)
+    assert (words[0], BOTH) not in told
+    assert told[words[1], BOTH] == pytest.approx(2 * 3.7**2, rel=0.01)

@@ -41,7 +41,7 @@ def ladder_table(ladder: Sequence[Mapping[str, Any]]) -> list[str]:
         families = list(dict.fromkeys(row["family"] for row in rows))
         cell = {(row["family"], row["model"]): row for row in rows}
         where = f" ({captures})" if captures else ""
-        out.append("# mean-square z (1 = agrees within the error bars, ! fails) and rms relative error")
+        out.append("# mean-square z (1 = agrees within the error bars, ? doubtful, ! fails) and rms relative error")
         out.append(f"  {role}: {FITTED[role]}{where}")
         body = []
         for family in families:
@@ -217,8 +217,10 @@ def _rival_lines(result: Mapping[str, Any]) -> list[str]:
     whole = best[named[0]]["dchi2"] if named and named[0] in best else None
     if not whole:
         return []
-    rivals = [c for name, c in best.items() if name not in named and (c["dchi2"] or 0.0) > HALF * whole][:RIVALS_TOLD]
-    told = [f"{c['name']} {100 * c['dchi2'] / whole:.0f} % ({_estimate_words(c)})" for c in rivals]
+    seen = [c for name, c in best.items() if name not in named and c["observable"]]
+    rivals = [c for c in seen if (c["dchi2"] or 0.0) > HALF * whole][:RIVALS_TOLD]
+    # a first step from the nominal model may promise more than the fit found: of what is named no more than all can be explained
+    told = [f"{c['name']} {min(100 * c['dchi2'] / whole, 100):.0f} % ({_estimate_words(c)})" for c in rivals]
     return (
         [f"  rivals of {named[0]}, by what each alone explains at first sight of what it does: {'; '.join(told)}"] if told else []
     )
