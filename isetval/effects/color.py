@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, FreeAxis, ParameterInfo, parameter, table_file
+from isetval.core.effect import Effect, FreeAxis, parameter, table_file
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum, read_spectra
 from isetval.core.signal import SHIFT_STATED_AT_NM, Signal
@@ -23,7 +23,6 @@ PLANCK_J_S = 6.62607015e-34
 LIGHT_M_PER_S = 299792458.0
 LEAK_ABOVE_NM = 700.0  # where the infrared-cut filter of a camera has closed
 CHANNELS = ("R", "G", "B")
-CROSSTALK_FORMS = ("matrix", "neighbors")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,68 +224,6 @@ class QuantumEfficiency(Effect):
             moved = grid * (1 - node / SHIFT_STATED_AT_NM)
             total = total + weight * signal.mixed((self._moved_apart(context, moved, apart) + leak) * photons)
         return signal.with_values(np.asarray(total) * _known_to(context, len(total)), "electron")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpectralCrosstalk(Effect):
-    """Electrons of one colour channel found in another: the same mixing matrix under all lights.
-
-    ``form`` "matrix": ``eps_rg`` is the part of the green channel's signal that is added to red, and so on; the diagonal
-    stays 1.  "neighbors": each pixel gives ``leak`` of its electrons to its four neighbors, which decides all of the matrix:
-    red and blue have four green neighbors, green has two of each.  Confounded with
-    channel gain (.86) and the light's spectrum (.72); narrow-band lights help.
-    Acts on colour channels behind quantum_efficiency and microlens, before cfa.
-    """
-
-    name = "spectral_crosstalk"
-    stage = "pixel"
-    acts_on = "electron"
-    gives = "electron"
-    order = 50.0
-    absent = "monochrome sensors"
-    imitated_by = (
-        "channel_gain",
-        "spd_mismatch",
-        "ir_leak",
-    )
-    equation = "mu' = M mu, M = I + (eps_ij off the diagonal); of neighbors R' = (1 - l) R + l G, G' = (1 - l) G + l (R + B)/2"
-    reference = (
-        "Lyu et al., Accurate smartphone camera simulation using 3D scenes, sec. sensor QE (matrix M); "
-        "Hirakawa, Cross-talk explained, IEEE ICIP 2008, 677 (of neighbors)"
-    )
-    must_not_change = ("dark",)
-    forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": CROSSTALK_FORMS}
-
-    eps_rg: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="green signal added to red")
-    eps_rb: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="blue signal added to red")
-    eps_gr: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="red signal added to green")
-    eps_gb: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="blue signal added to green")
-    eps_br: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="red signal added to blue")
-    eps_bg: float = parameter(0.0, unit="1", low=-0.3, high=1.0, tau=0.04, doc="green signal added to blue")
-    leak: float = parameter(0.0, unit="1", low=0.0, high=0.5, tau=0.02, doc="part l of a pixel in its four neighbors together")
-    form: str = CROSSTALK_FORMS[0]
-
-    def __post_init__(self) -> None:
-        """A number that its form does not read would be stated for nothing: InputError."""
-        super().__post_init__()
-        self.refuse_idle()
-
-    def own_parameters(self) -> tuple[ParameterInfo, ...]:
-        """The six of a matrix, or the one leak to the neighbors."""
-        return tuple(p for p in self.parameters() if (p.name == "leak") == (self.form == "neighbors"))
-
-    def matrix(self) -> Float:
-        """The mixing matrix M (3, 3)."""
-        if self.form == "neighbors":
-            stays, leak = 1 - self.leak, self.leak
-            return np.array([[stays, leak, 0.0], [leak / 2, stays, leak / 2], [0.0, leak, stays]])
-        return np.array([[1.0, self.eps_rg, self.eps_rb], [self.eps_gr, 1.0, self.eps_gb], [self.eps_br, self.eps_bg, 1.0]])
-
-    def apply(self, signal: Signal, context: Context) -> Signal:
-        """Mix the colour channels (nothing to mix for MONO)."""
-        if context.sensor.cfa == "MONO" or not any(self.values().values()):
-            return signal
-        return signal.with_values(np.tensordot(self.matrix(), signal.values, axes=1))
 
 
 @dataclass(frozen=True, kw_only=True)

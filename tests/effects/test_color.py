@@ -13,8 +13,8 @@ from isetval.effects.color import (
     IrLeak,
     QeShift,
     QuantumEfficiency,
-    SpectralCrosstalk,
 )
+from isetval.effects.crosstalk import SpectralCrosstalk
 from isetval.effects.free_form import curve_on_axis, freed
 from isetval.effects.pixel import Microlens
 
@@ -94,6 +94,22 @@ def test_a_leak_to_neighbors_mixes_as_a_mosaic_does(place):
     out = SpectralCrosstalk(form="neighbors", leak=leak).apply(planes, place()).values[:, 0, 0]
     np.testing.assert_allclose(out, [counted[0, 0], counted[0, 1], counted[1, 1]], rtol=1e-12)
     np.testing.assert_allclose(counted[0, 1], counted[1, 0])
+
+
+@pytest.mark.parametrize("window", [(0, 0, 12, 14), (3, 7, 9, 10)])
+def test_a_leak_from_pixel_to_pixel_is_one_of_the_mosaic(place, window):
+    """The mosaic of what leaked is the mosaic whose pixels leaked, edges and all; flat colors mix as of neighbors."""
+    leak, where = 0.08, place(window=window)
+    planes = np.random.default_rng(1).uniform(100, 900, (3, *window[2:]))
+    cut = ColorFilterArray().apply(Signal.of(planes, "electron"), where).values[0]
+    wide = np.pad(cut, 1, mode="reflect")
+    near = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
+    leaked = SpectralCrosstalk(form="pixels", leak=leak).apply(Signal.of(planes, "electron"), where)
+    found = ColorFilterArray().apply(leaked, where).values[0]
+    np.testing.assert_allclose(found, (1 - leak) * cut + leak * near / 4, rtol=1e-12)
+    flat = Signal.of(np.array([900.0, 600.0, 300.0])[:, None, None], "electron", shape=window[2:])
+    both = [SpectralCrosstalk(form=form, leak=leak).apply(flat, where).values for form in ("neighbors", "pixels")]
+    np.testing.assert_array_equal(*both)
 
 
 def test_microlens_loses_its_part_in_the_corner_of_each_channel(place):

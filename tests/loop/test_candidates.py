@@ -55,9 +55,10 @@ def test_forms_by_name_are_candidates_that_share_the_odds_of_their_effect(model)
 
 def test_a_form_frees_what_it_reads(model):
     """Six numbers of a matrix or the one leak that neighbors in the mosaic leave: never both, and no odds for the idle ones."""
-    matrix, neighbors = (c for c in candidates_for(model) if c.klass == "spectral_crosstalk")
+    matrix, neighbors, pixels = (c for c in candidates_for(model) if c.klass == "spectral_crosstalk")
     assert len(matrix.keys) == 6
     assert (neighbors.name, neighbors.keys) == ("spectral_crosstalk (neighbors)", ("spectral_crosstalk.leak",))
+    assert (pixels.name, pixels.keys) == ("spectral_crosstalk (pixels)", ("spectral_crosstalk.leak",))
     assert neighbors.model_with(model).with_values({"spectral_crosstalk.leak": 0.1}).value("spectral_crosstalk.leak") == 0.1
     with pytest.raises(InputError, match="which form 'matrix' does not read; it needs form = 'neighbors'"):
         matrix.effect.changed(leak=0.1)
