@@ -12,7 +12,8 @@ from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
 from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
-from isetval.loop.fit import far_values
+from isetval.loop.fit import far_values, focus_values
+from isetval.loop.focus_chain import moves_focus
 from isetval.loop.forms import something_left
 from isetval.loop.investigation import Investigation, named_model, weigh_neighbours
 from isetval.loop.posterior import NOTHING
@@ -145,7 +146,13 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
     nothing = hypothesis(problem, (), fitted)
 
     def shown(some: Sequence[Candidate]) -> list[Signature]:
-        return signatures(problem, Point(model, far_values(fitted)), some, project=frame.basis[: frame.rows], focus=focus)
+        """What moves the film is differenced where focus stands: about best focus all sharpness is even."""
+        movers = [c for c in some if focus and moves_focus(c.effect)]
+        places = ((far_values(fitted), [c for c in some if c not in movers]), (focus_values(fitted), movers))
+        basis = frame.basis[: frame.rows]
+        made = [s for at, own in places for s in signatures(problem, Point(model, at), own, project=basis, focus=focus)]
+        by_candidate = {s.candidate.name: s for s in made}
+        return [by_candidate[c.name] for c in some if c.name in by_candidate]
 
     made = shown(wanted)
     made += shown(_scanned(problem, nothing, frame, made))

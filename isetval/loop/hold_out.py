@@ -13,6 +13,7 @@ from isetval.loop.fit import Fit
 from isetval.loop.fit_state import POSED_FACTOR, walked
 from isetval.loop.focus_chain import at_same_focus, focus_shifts
 from isetval.loop.investigation import Investigation, draws_of, named_model
+from isetval.loop.other_focus import best_of_places, other_places
 from isetval.loop.posterior import NOTHING, Names
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.problem import Problem
@@ -101,6 +102,7 @@ def said(case: Investigation, asked: Sequence[Hypothesis]) -> list[float]:
     The effects stay as they were found, the nuisances of the hold-out are its own.  All are predicted at the nuisances that fit
     with what stands, and led from there to their bottoms by the same derivatives: fits of their own would end at other poses of
     the edges, where other noise is simulated (10 in ln Z between two models that are the same to a thousandth of a sigma).
+    Those of lenses are fitted where focus may stand elsewhere with them (`isetval.loop.other_focus`).
     By how much an effect moves the film, focus errors take back first: twice as far out of focus no derivative leads back.
     All that bends no row is simulated where derivatives put it, if that is far from where what stands has it: a gain 1 % up
     fills planes that in 1 % less light are not full, and over eight prior sigmas of the light's shape the simulation's own noise
@@ -118,7 +120,12 @@ def said(case: Investigation, asked: Sequence[Hypothesis]) -> list[float]:
         return [0.0] * len(asked)
 
     def log_probability(found: Hypothesis) -> float:
-        point = at_same_focus(problem, Point(named_model(nominal, found), settled.point.values), shifts, focus)
+        point = Point(named_model(nominal, found), settled.point.values)
+        if others := other_places(settled, [m.effect for m in (*found.effects, *case.standing.effects)]):
+            own = best_of_places(problem, point, settled.free, others)
+            there = _weighed_at(problem, own, own.point)
+            return -np.inf if there is None else there.weighed.log_evidence
+        point = at_same_focus(problem, point, shifts, focus)
         return _at_its_bottom(problem, settled, point, standing.weighed.values)
 
     return [log_probability(h) - standing.weighed.log_evidence for h in asked]

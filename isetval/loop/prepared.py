@@ -15,6 +15,7 @@ from isetval.camera.outside_grid import light_outside
 from isetval.camera.shooting import check_plan
 from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
+from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.given import row_words
 from isetval.core.metric import MetricTable
@@ -23,6 +24,7 @@ from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import FAR, Fit, far_values, fit, moved_far, told_here
 from isetval.loop.given_side import given_rows
 from isetval.loop.nominal import Nominal, nominal_of
+from isetval.loop.other_focus import best_of_places, other_places
 from isetval.loop.prediction import DERIVATIVE_SEEDS, REPLICAS, Point, Predictor
 from isetval.loop.problem import Problem
 from isetval.loop.task_runner import Runner
@@ -115,12 +117,17 @@ class Prepared:
             free = nuisance_parameters(problem.plan, model)
             if nominal is not None and _is_astray(nominal):
                 nominal = None
-            self.fits[key] = (
-                fit(problem, deepest(problem, off_best_focus(problem, Point(model), free), free), free)
-                if nominal is None
-                else fit(problem, Point(model, nominal.point.values), free, pose=nominal.pose)
-            )
+            if nominal is None:
+                self.fits[key] = fit(problem, deepest(problem, off_best_focus(problem, Point(model), free), free), free)
+            else:
+                others = other_places(nominal, self._added(model))
+                self.fits[key] = best_of_places(problem, Point(model, nominal.point.values), free, others, nominal.pose)
         return self.fits[key]
+
+    def _added(self, model: CameraModel) -> list[Effect]:
+        """The effects of a model that are other than those of the nominal one."""
+        own = {effect.content() for effect in self.model.effects}
+        return [effect for effect in model.effects if effect.content() not in own]
 
     def chi2(self, model: CameraModel, *, weights: CameraModel) -> float:
         """chi2 of the campaign under a model with base and weights simulated with another, nuisances refitted.

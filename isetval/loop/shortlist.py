@@ -12,6 +12,7 @@ from isetval.loop.candidates import Candidate
 from isetval.loop.evidence import CLOSE_LOG_ODDS, Hypothesis, Member
 from isetval.loop.forms import in_best_form, something_left
 from isetval.loop.investigation import BENDS, CLEAR, ODDS, Investigation, fitted_jointly
+from isetval.loop.places import at_likeliest_place
 from isetval.loop.posterior import NOTHING, Names
 from isetval.loop.subset_sum import MAX_EFFECTS
 from isetval.loop.telling import Say
@@ -54,7 +55,8 @@ def fit_each(case: Investigation, say: Say, wanted: Iterable[Names]) -> None:
     fitted = []
     for names in wanted:
         say(f"fitting {', '.join(sorted(names))}")
-        fitted.append(fitted_jointly(case, names))
+        case.known[names] = at_likeliest_place(case, fitted_jointly(case, names))
+        fitted.append(case.known[names])
     _give_forms(case, sorted(fitted, key=case.score, reverse=True), say)
 
 

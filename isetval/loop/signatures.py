@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from isetval.core.parameter import Parameter
 from isetval.loop.candidates import Candidate
-from isetval.loop.focus_chain import at_same_focus, focus_shifts, moves_focus, through_focus
+from isetval.loop.focus_chain import at_same_focus, film_um, focus_shifts, moves_focus, through_focus
 from isetval.loop.onsets import DETECTED, past_the_onset, where_it_shows
 from isetval.loop.prediction import SIGNATURE_SEEDS, Point
 from isetval.loop.problem import Problem
@@ -23,6 +23,7 @@ SEEN = 0.2  # of `WANTED`, from which a shorter step is taken though it shows le
 # as the noise of common random numbers, and no tail at a threshold (what goes as the square, and a little with its sign)
 ODD = 0.33  # share of a secant of `WANTED` sigmas that turns its sign with the parameter: at 8 sigmas it is as long as the rest,
 # which goes as the square
+FILM = 0.5  # of a prior's sigma: MTF goes as the square of the distance from best focus, of which focus stands one or two off
 STAIRS = (0.5, 1.0, 1.5, 2.0)
 """Of a step that moves levels by a few codes: where secants of a stair are taken; four halve what the rounding of one leaves."""
 FEW_CODES = 8.0  # that a step moves a level by: a single secant is off by the rounding of one code, 4 % there
@@ -46,6 +47,22 @@ def _steps(candidate: Candidate) -> Float:
     return steps
 
 
+def _within_focus(problem: Problem, point: Point, candidate: Candidate, steps: Float, focus: Sequence[Parameter]) -> Float:
+    """Steps (parameters,) of what moves the film, halved until no edge's moves by more than `FILM` of an error of focus's prior.
+
+    Where shots at several places share one error of focus, the chain rule takes back the mean of what the film moves in them.
+    """
+    if not focus or not moves_focus(candidate.effect):
+        return steps
+    reach, out = min(f.reach for f in focus), steps.copy()
+    for i, (key, value) in enumerate(zip(candidate.keys, candidate.nominal, strict=True)):
+        there = candidate.model_with(point.model).with_values({key: value + steps[i]})
+        far = max((abs(way) for way in film_um(problem, there).values()), default=0.0)
+        while far > FILM * reach:
+            out[i], far = out[i] / 2, far / 2
+    return out
+
+
 def signatures(
     problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float, focus: Sequence[Parameter] = ()
 ) -> list[Signature]:
@@ -56,7 +73,7 @@ def signatures(
     outside the linear range (profiled length above 80 sigma) is taken again closer to the null; whether it is, small shots
     tell mostly, which are asked first.
     """
-    steps = [_steps(c) for c in wanted]
+    steps = [_within_focus(problem, point, c, _steps(c), focus) for c in wanted]
     _shorten_by_small_shots(problem, point, wanted, steps, project)
     columns = secants(problem, point, wanted, steps)
     _other_side(problem, point, wanted, steps, columns)

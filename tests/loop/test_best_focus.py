@@ -1,14 +1,20 @@
 """Errors of focus about best focus, where no derivative leads anywhere, and behind an effect that moved the film."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from isetval import simulate
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.parameter import Parameter
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.effects.optics_blur import FieldCurvature
+from isetval.effects.optics_blur import FieldCurvature, Spherical
 from isetval.loop.derivatives import jacobian, nuisance_parameters
+from isetval.loop.detective import diagnose
+from isetval.loop.other_focus import other_places
 from isetval.loop.prediction import Point, Predictor
 from isetval.loop.prepared import prepare
 from isetval.loop.weighing import make_problem
@@ -62,3 +68,27 @@ def test_derivatives_by_focus_are_those_behind_the_film_that_an_effect_moved(mod
     assert np.linalg.norm(after[corner]) > 10
     back = jacobian(problem, Point(model), free)
     np.testing.assert_allclose(back, before, atol=1e-9)
+
+
+def test_an_aberration_is_found_where_focus_is_stated(model, plan):
+    """Nine of ten of it is what 4 um of defocus do: from there a fit found half of it with the other sign."""
+    again = tuple(replace(s, name=f"{s.name} again", setup=f"{s.setup} again", measurement_session="B") for s in plan.shots)
+    both = replace(plan, shots=(*plan.shots, *again))
+    hidden = model.with_effect(Spherical(rms_waves=0.07))
+    captures = simulate(hidden, both, 5, values={FOCUS: -0.45, FOCUS.replace(":A", ":B"): -0.55})
+    found = diagnose(model, captures, with_next_captures=False)
+    assert [e.name for e in found.effects] == ["spherical"]
+    value = found.effects[0].parameters["rms_waves"]
+    assert abs(value.value - 0.07) < 4 * value.sigma < 0.02
+
+
+def test_other_places_are_those_of_effects_of_the_lens():
+    """On the other side for what moves the film; where it is stated for all of the lens, if it stands 1.5 prior sigmas off."""
+    free = Parameter("focus_um", scope="campaign", unit="um", prior=1.0, focus=True)
+    ways = {0.5: [], 1.2: [-1.2], -2.0: [2.0, 0.0]}
+    for value, expected in ways.items():
+        fitted = SimpleNamespace(free=(free,), value=lambda _, value=value: (value, 0.3))
+        places = [{free.label: way} for way in expected]
+        assert other_places(fitted, [FieldCurvature(kappa_um=3.0)]) == places
+        assert other_places(fitted, [Spherical(rms_waves=0.1)]) == [{free.label: way} for way in expected if way == 0.0]
+        assert other_places(fitted, []) == []
