@@ -26,7 +26,7 @@ from isetval.loop.scan import best_place
 from isetval.loop.score_test import Frame, Score, make_frame, score
 from isetval.loop.search import search
 from isetval.loop.shortlist import unfitted
-from isetval.loop.signatures import Signature, signatures
+from isetval.loop.signatures import Signature, as_tolerances_do, signatures
 from isetval.loop.stair_scores import lowest_stairs
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
 from isetval.loop.verdict import ALPHA, account_of, stopped_account
@@ -151,7 +151,7 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
         places = ((far_values(fitted), [c for c in some if c not in movers]), (focus_values(fitted), movers))
         basis = frame.basis[: frame.rows]
         made = [s for at, own in places for s in signatures(problem, Point(model, at), own, project=basis, focus=focus)]
-        by_candidate = {s.candidate.name: s for s in made}
+        by_candidate = {s.candidate.name: as_tolerances_do(problem, s, fitted.free) for s in made}
         return [by_candidate[c.name] for c in some if c.name in by_candidate]
 
     made = shown(wanted)
