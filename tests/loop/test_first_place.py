@@ -6,6 +6,7 @@ import isetval
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
+from isetval.loop import other_focus
 from isetval.loop import prepared as of_prepared
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
@@ -37,7 +38,8 @@ def test_the_fit_of_another_model_starts_where_the_nominal_one_ended(model, monk
         starts.append(start.values.get(label, 0.0))
         return fit(problem, start, free, **how)
 
-    monkeypatch.setattr(of_prepared, "fit", watched)
+    for module in (of_prepared, other_focus):
+        monkeypatch.setattr(module, "fit", watched)
     with prepare(model, captures) as prepared:
         nominal = prepared.fit_nuisances(model)
         other = model.with_values({"conversion_gain.gain_dn_per_e": 1.01 * model.value("conversion_gain.gain_dn_per_e")})
