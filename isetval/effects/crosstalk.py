@@ -81,9 +81,10 @@ class SpectralCrosstalk(Effect):
         """Mix the colour channels (nothing to mix for MONO)."""
         if context.sensor.cfa == "MONO" or not any(self.values().values()):
             return signal
-        if self.form == "pixels" and max(signal.values.shape[1:]) > 1:
-            return signal.with_values(self._leaked(signal.values, context))
-        return signal.with_values(np.tensordot(self.matrix(), signal.values, axes=1))
+        values = signal.values
+        if self.form == "pixels" and max(values.shape[1:]) > 1:
+            return signal.with_values(self._leaked(values, context))
+        return signal.with_values(np.tensordot(self.matrix(), values, axes=1))
 
     def _leaked(self, values: Float, context: Context) -> Float:
         """Colors (3, rows, cols) of which each pixel has lost to, and got from, its four neighbors.
@@ -104,6 +105,4 @@ def _beside(values: Float, axis: int) -> Float:
     if values.shape[axis] < 2:
         return values
     wide = np.pad(values, [(1, 1) if k == axis else (0, 0) for k in range(2)], mode="reflect")
-    return np.asarray(
-        (np.take(wide, range(values.shape[axis]), axis) + np.take(wide, range(2, values.shape[axis] + 2), axis)) / 2
-    )
+    return np.asarray((wide[:-2] + wide[2:] if axis == 0 else wide[:, :-2] + wide[:, 2:]) / 2)

@@ -1,8 +1,7 @@
 """Where a fit starts near best focus, at which no derivative leads anywhere: sharpness is even in defocus.
 
 A focus error z turns rows by s z + b z^2, and of a lens without spherical aberration, set to its best focus, by b z^2 alone.
-Gauss-Newton steps from z = 0 stay there: what the error of focus does was named spherical aberration, in every second
-session of an f/1.8 lens with errors of one micrometre.
+Gauss-Newton steps from z = 0 stay there, and what the error of focus does is named as a blur.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from isetval.loop.derivatives import jacobian
 from isetval.loop.gaussian import hessian, inverse
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
-from isetval.loop.slopes import value_at
+from isetval.loop.slopes import at, value_at
 
 Float = NDArray[np.float64]
 REACH = 3.0  # prior sigmas on both sides: beyond it a parabola through -1, 0, 1 is no guide, and valleys are looked for
@@ -40,7 +39,7 @@ def off_best_focus(problem: Problem, start: Point, free: Sequence[Parameter]) ->
 def _moved(problem: Problem, start: Point, f: Parameter, beside: Float, others: Sequence[Parameter]) -> Point:
     """The start with one focus error moved, and its derivatives forgotten, which are others there; or as it is."""
     here = value_at(f, start)
-    places = [_at(start, f, here + way * f.reach) for way in (-1.0, 0.0, 1.0)]
+    places = [at(start, [f], [here + way * f.reach]) for way in (-1.0, 0.0, 1.0)]
     behind, middle, ahead = (problem.whitened(problem.measured - vector) for vector in problem.predict(places))
     slope, bend = (behind - ahead) / 2, middle - (behind + ahead) / 2  # of the prediction, by prior sigmas
     if not np.isfinite(behind + ahead).all():
@@ -53,7 +52,7 @@ def _moved(problem: Problem, start: Point, f: Parameter, beside: Float, others: 
     if cost[stays] - cost[best] < WORTH:
         return start
     problem.columns.pop(f.label, None)
-    return _at(start, f, here + float(LOOKS[best]) * f.reach)
+    return at(start, [f], [here + float(LOOKS[best]) * f.reach])
 
 
 def _profiled(columns: Float, beside: Float, others: Sequence[Parameter]) -> Float:
@@ -62,7 +61,3 @@ def _profiled(columns: Float, beside: Float, others: Sequence[Parameter]) -> Flo
         return np.asarray(columns.T @ columns)
     cross = beside.T @ columns
     return np.asarray(columns.T @ columns - cross.T @ inverse(hessian(beside, others)) @ cross)
-
-
-def _at(point: Point, f: Parameter, value: float) -> Point:
-    return Point(point.model, {**point.values, f.label: float(np.clip(value, f.low, f.high))})

@@ -19,7 +19,9 @@ from isetval.loop.slopes import SCALED, slopes
 
 Float = NDArray[np.float64]
 STALE = 1.0  # prior sigmas that a bent parameter may move before derivatives are taken anew
-FOCUS_ENDS = 0.25  # of that, where a fit ends: slopes by focus go through zero at best focus, and grow with the distance from it
+FOCUS_ENDS = 0.25
+"""Of the distance from best focus, or of a prior's sigma where that is more, that focus may have moved where a fit ends: slopes
+by focus go through zero there, and grow with the distance."""
 STRAIGHT = (
     4.0  # sigmas of a finite step where metrics bend: of both sides the cubic part is left, and frames without noise add none
 )
@@ -57,7 +59,7 @@ def jacobian(
     that moves the film moves focus as a focus error does.  With ``both_sides`` columns of effects are central differences: a
     variance goes as the square of its parameter; those taken near by are remembered, too (`isetval.loop.effect_columns`).
     """
-    moved = _moved(problem, point, free, stale, stale * (FOCUS_ENDS if both_sides else 1.0))
+    moved = _moved(problem, point, free, stale, ends=both_sides)
     _renew(problem, point, [f for f in free if f.label in moved], moved)
     unknown = [f for f in free if f.is_nuisance and f.label not in problem.columns]
     here = {f.label: point.values.get(f.label, 0.0) for f in free if f.is_nuisance}
@@ -75,13 +77,15 @@ def jacobian(
     return problem.whitened(np.column_stack([own[f.label] if f.label in own else problem.columns[f.label].slope for f in free]))
 
 
-def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float, focus: float) -> dict[str, list[str]]:
+def _moved(problem: Problem, point: Point, free: Sequence[Parameter], stale: float, *, ends: bool) -> dict[str, list[str]]:
     """Nuisances whose remembered column no longer holds at a point, and those that moved too far for it.
 
-    ``stale`` are prior sigmas that curved ones may have moved, ``focus`` those of focus errors.
+    ``stale`` are prior sigmas that curved ones may have moved; where a fit ``ends`` errors of focus less (`FOCUS_ENDS`).
     """
     known = [(f.label, problem.columns[f.label]) for f in free if f.label in problem.columns]
-    curved = {f.label: (focus if f.focus else stale) * f.reach for f in free if f.curved}
+    curved = {f.label: stale * f.reach for f in free if f.curved}
+    for f in (f for f in free if f.focus and ends):
+        curved[f.label] = stale * min(f.reach, FOCUS_ENDS * max(f.reach, abs(point.values.get(f.label, 0.0))))
     limits = {f.label: SCALED for f in free if f.unit == "relative"} | curved
     rows = {key: column.slope != 0 for key, column in known}
     film = film_um(problem, point.model)

@@ -50,8 +50,8 @@ def _steps(candidate: Candidate) -> Float:
 def as_tolerances_do(problem: Problem, signature: Signature, free: Sequence[Parameter]) -> Signature:
     """A signature, in which a number of the camera that has a tolerance does what this unknown does, by the same derivatives.
 
-    Two finite differences of a black level, known to a thousandth of a DN, are parallel to a percent: of a file that adds 1 DN
-    its tolerance of .05 DN would not have given way, 19 of its sigmas off.
+    Two finite differences of a black level are parallel to a percent, and darks know it to less: a tight tolerance of it, many
+    of its sigmas off, would not give way to the effect.
     """
     own = {f.key: problem.columns[f.label].slope for f in free if f.owner and f.is_nuisance and f.label in problem.columns}
     columns = signature.columns.copy()

@@ -25,7 +25,7 @@ shift of colors that blurs them as well)."""
 SCATTERS = "scatters more than stated"
 OF_SPECIMEN = ("_fixed_", "_outliers", "_noisy_pixels")
 """In names of families whose numbers are those of one specimen, the same in both sessions: what stands out in one by chance does
-so in the other, and is no second word (a row variance of 24 rows at 3.7 sigmas made a right name partial)."""
+so in the other, and is no second word."""
 BOTH, HERE, THERE = "both sessions", "the captures used", "the hold-out"
 Kind = tuple[str, str]
 

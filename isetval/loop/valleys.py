@@ -16,7 +16,7 @@ from isetval.loop.derivatives import jacobian
 from isetval.loop.gaussian import hessian, inverse
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
-from isetval.loop.slopes import value_at
+from isetval.loop.slopes import at, value_at
 
 Float = NDArray[np.float64]
 WIDEST = 10.0  # prior sigmas looked at on both sides: how much wider a wrong prior may be (`candidates.WIDER`)
@@ -41,17 +41,13 @@ def deepest(problem: Problem, start: Point, free: Sequence[Parameter]) -> Point:
     others = [i for i, f in enumerate(free) if not f.focus]
     beside, kept = matrix[:, others], [free[i] for i in others]
     for f in focus:
-        looks = [_at(start, f, f.center + k * f.reach) for k in np.arange(-WIDEST, WIDEST + APART / 2, APART)]
+        looks = [at(start, [f], [f.center + k * f.reach]) for k in np.arange(-WIDEST, WIDEST + APART / 2, APART)]
         costs = [
             _cost(problem, prediction, beside, kept) + (f.weight * (value_at(f, look) - f.center)) ** 2
             for look, prediction in zip(looks, problem.predict(looks), strict=True)
         ]
         start = looks[int(np.argmin(costs))]
     return start
-
-
-def _at(point: Point, f: Parameter, value: float) -> Point:
-    return Point(point.model, {**point.values, f.label: float(np.clip(value, f.low, f.high))})
 
 
 def _is_left(problem: Problem, start: Point, free: Sequence[Parameter], matrix: Float) -> bool:

@@ -55,7 +55,7 @@ def test_a_fit_leaves_best_focus(model, plan, error_um):
 
 
 def test_derivatives_by_focus_are_those_behind_the_film_that_an_effect_moved(model, plan):
-    """Those at best focus are zero: a curvature was known six times as well as its sum with an error of focus is."""
+    """Those at best focus are zero: a curvature was known as if no error of focus went with it."""
     table = measure_campaign(simulate(model, plan, 4), summaries=False)
     bent = Point(model.with_effect(FieldCurvature(kappa_um=8.0)))
     problem, fresh = (make_problem(Predictor(plan, table), Point(model)) for _ in range(2))
@@ -71,7 +71,7 @@ def test_derivatives_by_focus_are_those_behind_the_film_that_an_effect_moved(mod
 
 
 def test_an_aberration_is_found_where_focus_is_stated(model, plan):
-    """Nine of ten of it is what 4 um of defocus do: from there a fit found half of it with the other sign."""
+    """Most of it is what defocus of many prior sigmas does, from where a fit finds less of it, with the other sign."""
     again = tuple(replace(s, name=f"{s.name} again", setup=f"{s.setup} again", measurement_session="B") for s in plan.shots)
     both = replace(plan, shots=(*plan.shots, *again))
     hidden = model.with_effect(Spherical(rms_waves=0.07))

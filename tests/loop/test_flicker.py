@@ -82,7 +82,7 @@ def test_how_much_a_light_flickers_is_asked_of_the_effect_in_any_form(model):
 
 
 def test_it_is_named_with_its_size(model):
-    """Of 1.2 % with three frames a shot, a wrong gain and a wrong exposure time were named."""
+    """With three frames a shot a wrong gain and a wrong exposure time were named in its place."""
     hidden = simulate(model.with_effect(Flicker(sigma=HIDDEN)), plan_of(model, 3, stated=0.0), 5, draw=True)
     found = diagnose(model, hidden, with_next_captures=False)
     assert (found.verdict, [e.name for e in found.effects]) == ("attributed", ["flicker"])

@@ -36,7 +36,7 @@ def captures(model):
 
 
 def test_it_is_named(model, captures):
-    """Of a file that added 1 DN only a pull was told, 19 sigmas of its prior long."""
+    """Of a file that added an offset to every code only a pull was told."""
     found = diagnose(model, captures, with_next_captures=False)
     assert (found.verdict, [e.name for e in found.effects]) == ("attributed", ["black_level"])
     value = found.effects[0].parameters["offset_dn"]

@@ -232,7 +232,7 @@ def test_what_is_denied_for_its_number_of_names_holds_no_probability():
 
 
 def test_what_one_specimen_shows_in_both_sessions_is_one_word():
-    """A fixed row variance that stood 3.7 sigmas off by chance did so in both, and made a right name partial."""
+    """A fixed row variance that stands off by chance does so in both, and made a right name partial."""
     columns = np.eye(ROWS)[:, :2]
     z = RNG.standard_normal(ROWS)
     z[:2] = 3.7

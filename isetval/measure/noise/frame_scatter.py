@@ -18,9 +18,10 @@ LEAST_FRAMES = 4  # for a drift: with fewer the scatter about it is not known at
 def frame_scatter(levels: Sequence[float] | Float, noise: float) -> Quantity:
     """Cube root of the variance of frames' relative levels (frames,), about their mean, from `LEAST_FRAMES` on about their line.
 
-    ``noise`` is the variance of one such level by the noise of its pixels, below which no sigma is stated.  A variance of few
-    numbers is no normal one, its cube root nearly is (Wilson and Hilferty, Proc. Nat. Acad. Sci. 17 (1931) 684); it is divided
-    by the mean of the cube root of chi-square over its degrees of freedom, so that it is that of the true variance on average.
+    Of two frames and more.  ``noise`` is the variance of one such level by the noise of its pixels, below which no sigma is
+    stated.  A variance of few numbers is no normal one, its cube root nearly is (Wilson and Hilferty, Proc. Nat. Acad. Sci. 17
+    (1931) 684); it is divided by the mean of the cube root of chi-square over its degrees of freedom, so that it is that of the
+    true variance on average.
     """
     variance, dof = level_variance(levels)
     mean, spread = _cube_root_of_chi_square(dof)
