@@ -73,13 +73,13 @@ def main(words=None):
 
 
 def _options(words):
+    from isetval.testing.foreign_camera.plan import PLANS
+
     parser = argparse.ArgumentParser(description="Score the detective on campaigns of another camera.")
     parser.add_argument("--n", type=int, default=500, help="trials (default: %(default)s)")
     passed = "trials to pass over, to run or (with --sum-up) to sum up: those that were looked at already"
     parser.add_argument("--first", type=int, default=0, help=passed)
-    parser.add_argument(
-        "--plan", choices=("small", "edges", "full"), default="edges", help="shots of a campaign (default: %(default)s)"
-    )
+    parser.add_argument("--plan", choices=PLANS, default="edges", help="shots of a campaign (default: %(default)s)")
     parser.add_argument("--kinds", default="null,single,pair,form,outsider", help="what is hidden (default: %(default)s)")
     parser.add_argument(
         "--seeds", choices=("development", "scoring"), default="scoring", help="a rule is changed on the first only"

@@ -78,7 +78,8 @@ def trial(number, *, seeds="scoring", plan="full"):
     if kind == "null":
         return Trial(**base)
     turn = _turn(kind, number)
-    level = LEVELS[kind][turn % len(LEVELS[kind])]
+    levels = _levels(kind, plan)
+    level = levels[turn % len(levels)]
     chosen = _chosen(kind, turn, seeds, plan, level)
     camera = in_setting(nominal_camera(NOMINAL / "camera.toml"), lens)
     hidden, truths, expected = {}, [], []
@@ -96,6 +97,12 @@ def _turn(kind, number):
     """How many trials of this kind went before."""
     whole, part = divmod(number, len(PATTERN))
     return whole * PATTERN.count(kind) + PATTERN[:part].count(kind)
+
+
+def _levels(kind, plan):
+    """How strongly things of a kind are hidden in turn: where strengths of a plan were never measured, as met in practice."""
+    measured = all(f"{plan}/{lens}" in measured_strengths() for lens in LENSES)
+    return LEVELS[kind] if measured else ("practice",)
 
 
 def _expected(concealed, strength, plan, lens):
@@ -118,7 +125,7 @@ def _chosen(kind, turn, seeds, plan, level):
     """What is hidden: every effect comes once before any comes again, in an order that the set of seeds draws."""
     pool = [c for c in POOLS[kind] if visible(c, plan) and all(_can(c, level, plan, lens) for lens in LENSES)]
     # one deck for each level, so that each level gets all effects
-    levels = LEVELS[kind]
+    levels = _levels(kind, plan)
     own = turn // len(levels)
     size = 2 if kind == "pair" else 1
     if len(pool) < size:

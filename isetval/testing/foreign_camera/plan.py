@@ -54,9 +54,12 @@ DARK_CORNER = (0.9, 0.85)
 EDGE_POINTS = {"c": (0.0, 0.0), "m": (0.5, 0.4), "o": (-0.75, -0.8)}
 EDGE_ANGLES = {"vertical": 5.2, "horizontal": -4.6}
 FOCUS_UM = (-8.0, 0.0, 8.0)
+# what a laboratory knows that never ran through focus: the film stands where the phone put it, to 2 um, a depth of focus at f/1.7
+LOOSE_FOCUS_UM = 2.0
 CHART_PLACES = {"mid": (1430, 1890), "side": (420, 600)}
-# small: darks and flats; edges: two edge points, one chart place and two of its lights besides; full: a laboratory's whole day
-PLANS = ("small", "edges", "full")
+# small: darks and flats; edges: two edge points, one chart place and two of its lights besides; one_focus: three edge points besides
+# darks and flats, all at best focus as far as anybody knows; full: a laboratory's whole day
+PLANS = ("small", "edges", "one_focus", "full")
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,8 @@ def priors(plan: str) -> tuple[Prior, ...]:
         Prior("spectrum_tilt", SPECTRUM_TILT, "relative per 100 nm", "measurement session", (), (light,))
         for light in ("sphere", *CHART_LIGHTS)
     ]
-    return (*PRIORS, *tilts, *((TEMPERATURE,) if plan != "small" else ()))
+    known = [replace(p, sigma=LOOSE_FOCUS_UM) if plan == "one_focus" and p.parameter == "focus_um" else p for p in PRIORS]
+    return (*known, *tilts, *((TEMPERATURE,) if plan != "small" else ()))
 
 
 def window_at(camera: Camera, point: tuple[float, float], size: tuple[int, int]) -> Window:
@@ -95,6 +99,8 @@ def session(camera: Camera, name: str, plan: str = "full") -> list[Planned]:
     out = [*_darks(camera, name), *_flats(name, numbers, levels), *_fields(camera, name, fields)]
     if plan == "edges":
         out += [*_edges(camera, name, ("c", "o")), *_charts(name, ("mid",), ("lamp", "tube"))]
+    if plan == "one_focus":
+        out += _edges(camera, name, EDGE_POINTS, focus_um=(0.0,))
     if full:
         out += [*_edges(camera, name, EDGE_POINTS), *_charts(name, CHART_PLACES, CHART_LIGHTS)]
     return out
@@ -134,14 +140,14 @@ def _fields(camera: Camera, session_name: str, numbers: Iterable[int]) -> list[P
     return out
 
 
-def _edges(camera: Camera, session_name: str, points: Iterable[str]) -> list[Planned]:
+def _edges(camera: Camera, session_name: str, points: Iterable[str], focus_um: Iterable[float] = FOCUS_UM) -> list[Planned]:
     out = []
     for point in points:
         for orientation, angle in EDGE_ANGLES.items():
             setup = f"{session_name}_edge_{point}{orientation[0]}"
             target = Edge(f"edge_{orientation}", orientation, angle)
             window = window_at(camera, EDGE_POINTS[point], (96, 96))
-            for focus in FOCUS_UM:
+            for focus in focus_um:
                 name = f"{setup}_{'mzp'[int(focus > 0) - int(focus < 0) + 1]}"
                 out.append(Planned(Place(name, "edge", window, 0.05, "sphere", 1.0, focus, target), setup, session_name, 2))
     first = next(p for p in out if p.place.name.endswith("cv_z"))

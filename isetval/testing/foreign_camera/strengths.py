@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from .concealed import DARK, FIELD, LIT, Concealed
+from .concealed import CHARTS, EDGES, Concealed
 from .concealed_effects import EFFECTS
 from .concealed_strangers import FORMS, OUTSIDERS
 
@@ -32,4 +32,5 @@ def strength_for(concealed: Concealed, s: float, plan: str, lens: str) -> float 
 
 def visible(concealed: Concealed, plan: str) -> bool:
     """Whether a plan has shots in which it shows at all."""
-    return concealed.seen in (DARK, LIT, FIELD) or plan != "small"
+    without = {"small": (EDGES, CHARTS), "one_focus": (CHARTS,)}
+    return concealed.seen not in without.get(plan, ())
