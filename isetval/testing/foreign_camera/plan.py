@@ -57,7 +57,7 @@ FOCUS_UM = (-8.0, 0.0, 8.0)
 # what a laboratory knows that never ran through focus: the film stands where the phone put it, to 2 um, a depth of focus at f/1.7
 LOOSE_FOCUS_UM = 2.0
 CHART_PLACES = {"mid": (1430, 1890), "side": (420, 600)}
-# small: darks and flats; edges: two edge points, one chart place and two of its lights besides; one_focus: three edge points besides
+# small: darks and flats; edges: two edge points, one chart place and two of its lights besides; one_focus: three edge points and
 # darks and flats, all at best focus as far as anybody knows; full: a laboratory's whole day
 PLANS = ("small", "edges", "one_focus", "full")
 
