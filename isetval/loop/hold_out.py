@@ -121,7 +121,7 @@ def said(case: Investigation, asked: Sequence[Hypothesis]) -> list[float]:
 
     def log_probability(found: Hypothesis) -> float:
         point = Point(named_model(nominal, found), settled.point.values)
-        if others := other_places(settled, [m.effect for m in (*found.effects, *case.standing.effects)]):
+        if others := other_places(problem, settled, [m.effect for m in (*found.effects, *case.standing.effects)]):
             own = best_of_places(problem, point, settled.free, others)
             there = _weighed_at(problem, own, own.point)
             return -np.inf if there is None else there.weighed.log_evidence

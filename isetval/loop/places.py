@@ -1,17 +1,23 @@
-"""Hypotheses about the lens at the place of focus that both sessions say is likeliest (`isetval.loop.other_focus`)."""
+"""Hypotheses about the lens at the place of focus that both sessions say is likeliest (`isetval.loop.other_focus`).
+
+At best focus an effect that moves colors or corners out of it does the same with either sign: of an axial color of two numbers
+edges of one session leave four choices of signs beside the error of focus, between which the error of another session decides.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import combinations
 
 from isetval.loop.evidence import Hypothesis, refit
 from isetval.loop.hold_out import said
 from isetval.loop.investigation import CLEAR, Investigation
-from isetval.loop.other_focus import OFF, other_places
+from isetval.loop.other_focus import OFF, move_alike, other_places
 from isetval.loop.prediction import Point
 from isetval.loop.steps import first_steps
 
+MOST_SIGNS = 2  # numbers whose signs are tried: four fits; a third would make eight
 ALIKE = 1.0  # in ln of the probability, within which two ends are as likely: rounding and replicas move it by as much
 
 
@@ -20,10 +26,31 @@ def at_likeliest_place(case: Investigation, found: Hypothesis) -> Hypothesis:
 
     Of two that are mirrored, and as likely, that with a number above zero.
     """
-    places = other_places(found.fitted, [m.effect for m in found.effects])
+    places = other_places(case.problem, found.fitted, [m.effect for m in found.effects])
     best = _likelier(case, found, *(_from(case, found, focus, found.values) for focus in places))
+    best = _likelier(case, best, *(_from(case, best, {}, values) for values in other_signs(case, best)))
     mirrored = _mirrored(best)
     return best if mirrored is None else _likelier(case, _from(case, best, *mirrored), best, ahead=ALIKE)
+
+
+def other_signs(case: Investigation, found: Hypothesis) -> Iterator[dict[str, float]]:
+    """Values by key with other signs, where rows move alike with either: of new effects of the lens that have several."""
+    stands = case.standing.names
+    new = [m for m in found.effects if m.name not in stands and m.effect.stage == "optics" and len(m.keys) > 1]
+    keys = [key for m in new for key in m.keys]
+    open_keys = [key for key in keys if found.sigmas_off(key) > OFF and _is_even(case, found, key)]
+    most = sorted(open_keys, key=found.sigmas_off, reverse=True)[:MOST_SIGNS]
+    for size in range(1, len(most) + 1):
+        for turned in combinations(most, size):
+            yield {**found.values, **{key: -found.values[key] for key in turned}}
+
+
+def _is_even(case: Investigation, found: Hypothesis, key: str) -> bool:
+    """Whether a number does to the rows what it does with the other sign, at best focus."""
+    point = found.fitted.point
+    values = {**point.values, **{f.label: f.center for f in found.fitted.free if f.focus and f.is_nuisance}}
+    sides = (point.model.with_values({key: way * found.values[key]}) for way in (1.0, 0.0, -1.0))
+    return move_alike(case.problem, *(Point(model, values) for model in sides))
 
 
 def _likelier(case: Investigation, first: Hypothesis, *others: Hypothesis, ahead: float = 0.0) -> Hypothesis:

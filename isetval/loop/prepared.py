@@ -120,7 +120,7 @@ class Prepared:
             if nominal is None:
                 self.fits[key] = fit(problem, deepest(problem, off_best_focus(problem, Point(model), free), free), free)
             else:
-                others = other_places(nominal, self._added(model))
+                others = other_places(problem, nominal, self._added(model))
                 self.fits[key] = best_of_places(problem, Point(model, nominal.point.values), free, others, nominal.pose)
         return self.fits[key]
 
