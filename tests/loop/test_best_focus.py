@@ -1,6 +1,7 @@
 """Errors of focus about best focus, where no derivative leads anywhere, and behind an effect that moved the film."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from isetval.core.campaign import Campaign, Light, Nuisance, Shot
 from isetval.core.parameter import Parameter
 from isetval.core.scene import EdgeTarget, Spectrum
 from isetval.core.sensor import Exposure
-from isetval.effects.optics_blur import FieldCurvature, Spherical
+from isetval.effects.optics_blur import AxialColor, FieldCurvature, Spherical
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.detective import diagnose
 from isetval.loop.other_focus import other_places
@@ -82,13 +83,36 @@ def test_an_aberration_is_found_where_focus_is_stated(model, plan):
     assert abs(value.value - 0.07) < 4 * value.sigma < 0.02
 
 
-def test_other_places_are_those_of_effects_of_the_lens():
-    """On the other side for what moves the film; where it is stated for all of the lens, if it stands 1.5 prior sigmas off."""
+def test_signs_that_one_session_leaves_open_are_those_of_both(model, plan):
+    """Axial color of two numbers was fitted with signs that the captures used leave open, and denied by the other session."""
+    again = tuple(replace(s, name=f"{s.name} again", setup=f"{s.setup} again", measurement_session="B") for s in plan.shots)
+    both = replace(plan, shots=(*plan.shots, *again))
+    hidden = model.with_effect(AxialColor(red_um=-2.5, blue_um=2.5))
+    captures = simulate(hidden, both, 6, values={FOCUS: 0.9, FOCUS.replace(":A", ":B"): -0.9})
+    found = diagnose(model, captures, with_next_captures=False)
+    assert [e.name for e in found.effects] == ["axial_color"]
+    red, blue = (found.effects[0].parameters[name] for name in ("red_um", "blue_um"))
+    assert np.sign(red.value) == -np.sign(blue.value)
+    for value in (red, blue):
+        assert abs(abs(value.value) - 2.5) < 3 * value.sigma < 3.0
+    assert found.verdict in ("attributed", "ambiguous")
+
+
+def test_other_places_are_those_of_effects_of_the_lens(model):
+    """On the other side for what moves the film and, where its sign is open, for all of the lens; else where it is stated."""
     free = Parameter("focus_um", scope="campaign", unit="um", prior=1.0, focus=True)
     ways = {0.5: [], 1.2: [-1.2], -2.0: [2.0, 0.0]}
     for value, expected in ways.items():
-        fitted = SimpleNamespace(free=(free,), value=lambda _, value=value: (value, 0.3))
+        fitted = SimpleNamespace(free=(free,), value=lambda _, value=value: (value, 0.3), point=Point(model))
         places = [{free.label: way} for way in expected]
-        assert other_places(fitted, [FieldCurvature(kappa_um=3.0)]) == places
-        assert other_places(fitted, [Spherical(rms_waves=0.1)]) == [{free.label: way} for way in expected if way == 0.0]
-        assert other_places(fitted, []) == []
+        for power, told in ((1, [way for way in places if way[free.label] == 0.0]), (2, places)):
+            moved = partial(_moved_by_focus, label=free.label, power=power)
+            problem = SimpleNamespace(nominal=model, predict=moved, whitened=lambda rows: rows)
+            assert other_places(problem, fitted, [FieldCurvature(kappa_um=3.0)]) == places
+            assert other_places(problem, fitted, [Spherical(rms_waves=0.1)]) == told
+            assert other_places(problem, fitted, []) == []
+
+
+def _moved_by_focus(points, label, power):
+    """Rows that are odd (edges through focus) or even (at best focus) in an error of focus."""
+    return [np.array([point.values[label] ** power]) for point in points]
