@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from isetval.camera.bands import bands_nm
 from isetval.core.cache import Remembered, content_hash
 from isetval.core.campaign import Light, Shot
 from isetval.core.context import TILE_ROWS, Context, Mode
@@ -32,8 +33,6 @@ FRONT = ("scene", "optics", "pixel")
 FIELD_PX = 32  # pixels along the longer side of the coarse full field: a mean of r^2 over it errs by 1/(12 FIELD_PX^2), 1e-4
 BAND_BUDGET = 6_000_000  # spectral samples held at once: 48 MB, a strip of 20 rows of a 12 MP sensor at 73 bands
 PICTURE_STRIPS = 4  # times that for charts, whose pictures are few: strips of 90 rows had 192 of halo, which is blurred with them
-LEAK_SHARE = 0.05  # of a light's maximum: below it lies what a band-pass filter leaks
-NARROW_SHARE = 0.25  # of the bands: light that fills more is no narrow band
 RUN_PX = 32_768  # that effects without a halo see at once: 256 KB of doubles stay in a core's second-level cache
 CACHE_BYTES = 600_000_000  # six full 12 MP frames, or all windows of a laboratory's plan at twenty points of a fit
 
@@ -207,29 +206,11 @@ def build_signal(model: Camera, setup: ShotSetup) -> Signal:
 
 
 def _scene(model: Camera, effects: tuple[Effect, ...], setup: ShotSetup, context: Context) -> Scene:
-    scene = build_scene(setup.shot, setup.light, _bands(model, setup), context)
+    scene = build_scene(setup.shot, setup.light, bands_nm(model, setup.shot, setup.light), context)
     for effect in effects:
         if effect.stage == "scene":
             scene = effect.apply_scene(scene, context)
     return scene if isinstance(scene.target, RenderedTarget) else _lit(scene)
-
-
-def _bands(model: Camera, setup: ShotSetup) -> Float:
-    """The model's wavelengths; of resampled pictures in narrow light those of its band, and every fourth where a filter leaks.
-
-    Radiances are means over the hat functions of whatever grid, so that the leak's light is kept; the camera's curves bend by
-    some percent over four steps, of the percent that leaks.  A rendered scene keeps the grid of its renderer.
-    """
-    grid = model.wavelength_nm
-    if setup.light is None or not setup.shot.levels_only or isinstance(setup.shot.target, RenderedTarget):
-        return grid
-    white = setup.light.radiance.band_means(grid)
-    strong = white > LEAK_SHARE * white.max()
-    if strong.mean() > NARROW_SHARE or np.mean(white > 0) < 2 * NARROW_SHARE:  # a band that does not leak is narrow as it is
-        return grid
-    kept = strong | np.roll(strong, 1) | np.roll(strong, -1)
-    kept[::4] = kept[-1] = True
-    return np.asarray(grid[kept])
 
 
 def _lit(scene: Scene) -> Scene:

@@ -97,7 +97,7 @@ class QeShift(Effect):
 class IrLeak(Effect):
     """Response beyond the infrared-cut filter, equal in all channels: seen under light A only.
 
-    Stands before quantum_efficiency, which adds it.
+    Reaches as far as the tables of light and of quantum efficiency do.  Stands before quantum_efficiency, which adds it.
     """
 
     name = "ir_leak"
@@ -151,7 +151,7 @@ class QuantumEfficiency(Effect):
     """Light becomes electrons: pixel area, exposure time, photon energy and QE of each channel.
 
     Samples the signal: blur must stand before it.  ``file`` is a CSV table wavelength_nm, R, G, B (one
-    column for a monochrome sensor), held at its ends outside the table.  Touches every level.
+    column for a monochrome sensor), held at its ends from 380 to 740 nm and no farther.  Touches every level.
     """
 
     name = "quantum_efficiency"

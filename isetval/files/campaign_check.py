@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from isetval.camera.model_file import load_model
-from isetval.camera.outside_grid import light_outside
 from isetval.camera.shooting import needs_light
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.capture import Capture
 from isetval.core.errors import InputError
 from isetval.core.scene import EdgeTarget
+from isetval.effects.color import QuantumEfficiency
 from isetval.files.campaign_file import camera_file
 from isetval.files.file_facts import WHITE_SHARE, facts_of
 from isetval.files.target_search import edges_in
@@ -60,11 +60,14 @@ def check_campaign(campaign: Campaign, *, progress: Progress | None = None) -> l
 
 
 def doubts_of_all(campaign: Campaign) -> list[str]:
-    """What is doubtful of the whole: tables of the camera that it names, light that is not simulated, names of sessions."""
+    """What is doubtful of the whole: the camera that it names and its tables, names of sessions."""
     out = []
     try:
         path = camera_file(campaign.camera, campaign.folder or Path())
-        out = [] if path is None else light_outside(load_model(path), campaign)
+        if path is not None:
+            efficiency = load_model(path).effect("quantum_efficiency")
+            if isinstance(efficiency, QuantumEfficiency) and efficiency.file:
+                efficiency.table()  # which the model reads where it is used
     except InputError as error:
         out = [str(error)]
     sizes = Counter(shot.measurement_session for shot in campaign.shots)

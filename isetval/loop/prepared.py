@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.camera.model import CameraModel
-from isetval.camera.outside_grid import light_outside
 from isetval.camera.shooting import check_plan
 from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
@@ -206,8 +205,7 @@ def prepare(
         except BaseException:
             predictor.close()  # what was simulated is kept
             raise
-    outside = light_outside(model, campaign)
-    table = replace(table, notes=(*table.notes, *outside, *_without_counterpart(problem), *_filling_up(problem)))
+    table = replace(table, notes=(*table.notes, *_without_counterpart(problem), *_filling_up(problem)))
     return Prepared(model, campaign, table, problem)
 
 

@@ -1,4 +1,4 @@
-"""A plan whose light does not fit its model: shots in no light are refused, light that is not simulated is told."""
+"""A plan whose light does not fit its model: shots in no light are refused, light beyond its bands is seen."""
 
 from dataclasses import replace
 
@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import isetval
-from isetval.camera.outside_grid import light_outside
+from isetval.camera.bands import bands_nm
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum
+from isetval.effects.color import IrLeak
 
-WIDE = Spectrum(np.arange(300.0, 1101.0), np.ones(801))
+WIDE = Spectrum(np.arange(300.0, 1101.0), np.full(801, 1e-4))
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +58,53 @@ def in_light(tmp_path, spectrum):
     return replace(found, lights={"sphere": replace(found.lights["sphere"], radiance=spectrum)})
 
 
-def test_light_beyond_the_models_wavelengths_is_told_with_its_share(tmp_path, model):
-    assert light_outside(model, in_light(tmp_path, WIDE)) == []  # its efficiency ends where its wavelengths do
-    (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n400,0.1,0.1,0.5\n700,0.5,0.1,0.1\n800,0.1,0.02,0\n", encoding="utf-8")
-    efficiency = replace(model.effect("quantum_efficiency"), file="qe.csv", base=str(tmp_path))
-    farther = model.replace(efficiency)
-    assert light_outside(farther, in_light(tmp_path, Spectrum(np.array([400.0, 700.0]), np.ones(2)))) == []
-    assert light_outside(farther, plan(tmp_path)) == []  # a number: the same at all wavelengths, and no table
-    (words,) = light_outside(farther, in_light(tmp_path, WIDE))
-    nm = np.arange(400.0, 801.0)
-    red = np.interp(nm, [400, 700, 800], [0.1, 0.5, 0.1]) * nm
-    share = 100 * red[nm > 740].sum() / red.sum()
-    assert words.startswith(f"light sphere: {share:.2g} % of what R would see lies outside 380 to 740 nm")
+def seen_beyond(tmp_path, model, curves):
+    """The model with an efficiency that reaches 1000 nm."""
+    (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n" + curves, encoding="utf-8")
+    return model.replace(replace(model.effect("quantum_efficiency"), file="qe.csv", base=str(tmp_path)))
+
+
+def dn_above_black(model, found):
+    """Of red, green and blue, without noise."""
+    (flat,) = (shot for shot in found.shots if shot.role == "flat")
+    mosaic = model.expected(flat, lights=found.lights)
+    dark = model.expected(replace(flat, light_level=0.0), lights=found.lights)
+    return np.array([(mosaic - dark)[0::2, 0::2].mean(), (mosaic - dark)[0::2, 1::2].mean(), (mosaic - dark)[1::2, 1::2].mean()])
+
+
+def test_light_beyond_the_models_bands_is_seen_as_far_as_both_tables_reach(tmp_path, model):
+    farther = seen_beyond(tmp_path, model, "400,0.1,0.1,0.5\n700,0.5,0.1,0.1\n1000,0.1,0.02,0\n")
+    near = Spectrum(np.array([400.0, 740.0]), np.full(2, 1e-4))
+    ratio = dn_above_black(farther, in_light(tmp_path, WIDE)) / dn_above_black(farther, in_light(tmp_path, near))
+    nm = np.arange(400.0, 1001.0)
+    for channel, ends in enumerate(([0.1, 0.5, 0.1], [0.1, 0.1, 0.02], [0.5, 0.1, 0.0])):
+        electrons = np.interp(nm, [400, 700, 1000], ends) * nm
+        inside = np.trapezoid(electrons[nm <= 740], nm[nm <= 740])
+        # the near table is held at its ends down to 380 nm, the wide one is as well
+        below = np.trapezoid(ends[0] * np.arange(380.0, 401.0), dx=1.0)
+        assert ratio[channel] == pytest.approx((np.trapezoid(electrons, nm) + below) / (inside + below), rel=2e-3)
+
+
+def test_infrared_that_leaks_is_that_of_the_light_and_not_of_the_models_bands(tmp_path, model):
+    """A leak of .016 to 1000 nm was found as .093 of a light that ended at 740 nm."""
+    blind = seen_beyond(tmp_path, model, "380,0,0,0\n400,0.1,0.1,0.5\n600,0.5,0.1,0.1\n700,0,0,0\n1000,0,0,0\n")
+    lit = in_light(tmp_path, WIDE)
+    flat = next(shot for shot in lit.shots if shot.role == "flat")
+    assert bands_nm(blind, flat, lit.lights["sphere"])[-1] == model.wavelength_nm[-1]  # nothing is seen there: no band is needed
+    added = dn_above_black(blind.with_effect(IrLeak(eps=0.01)), lit) - dn_above_black(blind, lit)
+    nm = np.arange(380.0, 1001.0)
+    red = np.interp(nm, [380, 400, 600, 700], [0, 0.1, 0.5, 0]) * nm
+    leak = np.where(nm > 700, 0.01, 0.0) * nm
+    expected = np.trapezoid(leak, nm) / np.trapezoid(red, nm) * dn_above_black(blind, lit)[0]
+    np.testing.assert_allclose(added, expected, rtol=0.01)
+
+
+def test_bands_are_the_models_where_no_table_says_more(tmp_path, model):
+    flat = next(shot for shot in plan(tmp_path).shots if shot.role == "flat")
+    farther = seen_beyond(tmp_path, model, "400,0.1,0.1,0.5\n700,0.5,0.1,0.1\n800,0.1,0.02,0\n")
+    by_number = plan(tmp_path).lights["sphere"]  # the same at all wavelengths, and no table
+    short = replace(by_number, radiance=Spectrum(np.array([400.0, 700.0]), np.ones(2)))
+    wide = replace(by_number, radiance=WIDE)
+    for camera, light in ((model, wide), (farther, by_number), (farther, short), (farther, None)):
+        np.testing.assert_array_equal(bands_nm(camera, flat, light), model.wavelength_nm)
+    np.testing.assert_array_equal(bands_nm(farther, flat, wide), [*model.wavelength_nm, 750, 760, 770, 780, 790, 800])
