@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from isetval.loop.candidates import Candidate
 from isetval.loop.evidence import CLOSE_LOG_ODDS
-from isetval.loop.investigation import Investigation
+from isetval.loop.investigation import ODDS, Investigation
 from isetval.loop.posterior import Posterior
 from isetval.loop.score_test import cosine
 from isetval.loop.unknown_members import with_unknown
@@ -23,7 +23,8 @@ LIKELY = 0.5  # what one of several names must be: it claims to be a part of the
 class Likeness:
     """What else could be meant by a named effect: ``rivals`` explain the data about as well, ``alike`` any data.
 
-    What explains them far better, and no turn was left to name it, is no rival: the data tell it from what is named.
+    Rivals do so alone or several together.  What explains them far better, and no turn was left to name it, is no rival: the data
+    tell it from what is named.
     """
 
     rivals: tuple[str, ...]
@@ -39,15 +40,16 @@ def likenesses(case: Investigation) -> dict[str, Likeness]:
     """Of every named effect: what may stand in its place in the sum, and what shows alike whatever is measured."""
     frame, white, logs = case.nominal_frame, nominal_signatures(case), case.table.logs
     stands, out = case.standing.names, {}
-    others = [c.name for c in case.candidates if c.name not in (*stands, *case.unobservable)]
+    others = {c.name for c in case.candidates if c.name not in (*stands, *case.unobservable)}
     klass = {c.name: c.klass for c in case.candidates}
     best = logs.get(stands, case.score(case.standing))
+    close = sorted((names for names, log in logs.items() if abs(log - best) < CLOSE_LOG_ODDS), key=lambda names: -logs[names])
     for name in (m.name for m in case.standing.effects):
         rest = stands - {name}
         other = [o for o in others if klass[o] != klass[name]]
-        near = {o: logs[rest | {o}] for o in other if abs(logs.get(rest | {o}, -np.inf) - best) < CLOSE_LOG_ODDS}
+        near = [o for names in close if rest <= names and name not in names for o in sorted(names - rest) if o in other]
         alike = dict.fromkeys(klass[o] for o in other if cosine(frame, white[name], white[o]) > SAME_RHO)
-        rivals = dict.fromkeys(klass[o] for o in sorted(near, key=lambda o: -near[o]))
+        rivals = dict.fromkeys(klass[o] for o in near)
         out[name] = Likeness(tuple(rivals), tuple(alike))
     return out
 
@@ -68,13 +70,14 @@ def chance_of(case: Investigation, named: Candidate, like: Likeness, table: Post
 
 
 def doubtful(case: Investigation) -> str | None:
-    """Of several effects that stand the one that is least sure, where the sum has it less likely than not; else None.
+    """The effect of those that stand that is least sure, where the sum has it less likely than not; else None.
 
-    One that stands alone stays: there, what is said to be left over tells how sure it is.
+    One that stands alone stays until there are 19 to 1 against it, as it had to have them: what is said to be left over tells how
+    sure it is.
     """
-    if len(case.standing.effects) < 2:
+    if not case.standing.effects:
         return None
     table, like = with_unknown(case).table, likenesses(case)
     chance = {c.name: chance_of(case, c, like[c.name], table)[0] for c in case.standing.effects}
     least = min(chance, key=lambda name: chance[name])
-    return least if chance[least] < LIKELY else None
+    return least if chance[least] < (LIKELY if len(chance) > 1 else 1 / (1 + ODDS)) else None

@@ -248,6 +248,17 @@ def test_a_further_name_that_nobody_believes_is_not_stated_when_the_search_is_cu
     assert case.standing.names == {"dark_current", "temporal_row_noise"}  # both are believed
 
 
+def test_a_single_name_with_19_to_1_against_it_is_not_stated():
+    """A verdict named an exposure time with a probability of 0.000, beside something unknown."""
+    case = case_of(30.0 * np.eye(ROWS)[1])
+    stand(case, "black_level")
+    assert doubtful(case) == "black_level"
+    _settle(case, Deadline(900.0), {NOTHING, case.standing.names})
+    assert not case.standing.names
+    stand(case, "temporal_row_noise")
+    assert doubtful(case) is None
+
+
 @pytest.mark.parametrize(("here", "there", "likely"), [(2.5, 6.0, True), (2.5, 0.0, False), (0.0, 6.0, False)])
 def test_an_effect_that_both_sessions_show_is_fitted_though_one_shows_it_faintly(monkeypatch, here, there, likely):
     """2.5 sigmas are one of ninety effects by chance, 2.5 here and six of the same sign there are not."""
