@@ -26,12 +26,14 @@ def stated_flicker(plan: Campaign, shot: Shot) -> float:
 
 
 def flicker_of(model: CameraModel, shot: Shot) -> float:
-    """The same as a model's own effects have it, whatever their form: what a normal of 1 adds to a light of 1."""
+    """The same as a model's own effects have it, whatever their form: what a normal of 1 adds to a light of 1, mean over rows."""
     acting = [effect for effect in model.effects if effect.light_by_frame]
     if not acting or not shot.light:
         return 0.0
-    context = make_context(model, ShotSetup(shot, None), mode="capture").but(window=(0, 0, 1, 1), of_frame=1.0)
-    added = [float(effect.apply(Signal.of(np.ones((1, 1)), "electron"), context).values[0, 0]) - 1 for effect in acting]
+    context = make_context(model, ShotSetup(shot, None), mode="capture")
+    row0, col0, rows, _ = context.window
+    column, light = context.but(window=(row0, col0, rows, 1), of_frame=1.0), Signal.of(np.ones((rows, 1)), "electron")
+    added = [float(effect.apply(light, column).values.mean()) - 1 for effect in acting]
     return float(np.sqrt(np.sum(np.square(added))))
 
 

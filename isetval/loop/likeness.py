@@ -69,15 +69,15 @@ def chance_of(case: Investigation, named: Candidate, like: Likeness, table: Post
     return table.of_class(*(c.name for c in case.candidates if c.klass in alike))
 
 
-def doubtful(case: Investigation) -> str | None:
-    """The effect of those that stand that is least sure, where the sum has it less likely than not; else None.
+def doubtful(case: Investigation, *, cut: bool = False) -> str | None:
+    """The effect of those that stand that is least sure, where there are 19 to 1 against it in the sum; else None.
 
-    One that stands alone stays until there are 19 to 1 against it, as it had to have them: what is said to be left over tells how
-    sure it is.
+    What is said to be left over tells how sure others are.  Where the search was ``cut``, one of several that is less likely than
+    not goes too: the last had no turn after it in which something else might have taken its place.
     """
     if not case.standing.effects:
         return None
     table, like = with_unknown(case).table, likenesses(case)
     chance = {c.name: chance_of(case, c, like[c.name], table)[0] for c in case.standing.effects}
     least = min(chance, key=lambda name: chance[name])
-    return least if chance[least] < (LIKELY if len(chance) > 1 else 1 / (1 + ODDS)) else None
+    return least if chance[least] < (LIKELY if cut and len(chance) > 1 else 1 / (1 + ODDS)) else None
