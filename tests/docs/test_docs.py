@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
 from make_schemas import schemas  # noqa: E402
 
+INTERFACE = re.findall(r"autofunction:: isetval\.(\S+)", (ROOT / "docs" / "api.rst").read_text(encoding="utf-8"))
 EXAMPLES = [
     *sorted((ROOT / "data").glob("*/camera.toml")),
     *sorted((ROOT / "data").glob("*/plan.toml")),
@@ -28,6 +29,13 @@ def _schema_of(path):
 def test_the_schema_of_cameras_knows_every_effect():
     effects = schemas()["camera.schema.json"]["properties"]["effect"]["items"]["anyOf"]
     assert {e["properties"]["name"]["const"] for e in effects} == set(catalogue())
+
+
+@pytest.mark.parametrize("name", INTERFACE)
+def test_the_interface_is_reached_by_import_isetval(name):
+    """As a program of its own has it: no module has to be imported first."""
+    ask = f"import isetval, operator; assert callable(operator.attrgetter({name!r})(isetval))"
+    subprocess.run([sys.executable, "-c", ask], check=True)
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: f"{p.parent.name}-{p.stem}")
