@@ -31,11 +31,12 @@ def test_the_schema_of_cameras_knows_every_effect():
     assert {e["properties"]["name"]["const"] for e in effects} == set(catalogue())
 
 
-@pytest.mark.parametrize("name", INTERFACE)
-def test_the_interface_is_reached_by_import_isetval(name):
+def test_the_interface_is_reached_by_import_isetval():
     """As a program of its own has it: no module has to be imported first."""
-    ask = f"import isetval, operator; assert callable(operator.attrgetter({name!r})(isetval))"
-    subprocess.run([sys.executable, "-c", ask], check=True)
+    assert len(INTERFACE) > 15
+    ask = f"import isetval, operator; print([n for n in {INTERFACE} if not callable(operator.attrgetter(n)(isetval))])"
+    done = subprocess.run([sys.executable, "-c", ask], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: f"{p.parent.name}-{p.stem}")
