@@ -99,7 +99,8 @@ def test_a_search_that_came_to_its_end_leaves_all_that_is_left(monkeypatch):
     monkeypatch.setattr(telling, "monotonic", lambda: now[0])
     monkeypatch.setattr(search, "_search", lambda case, watch, seen: now.__setitem__(0, 2.9))
     watch = Deadline(9.0)
-    assert search.search(SimpleNamespace(standing=SimpleNamespace(names=frozenset())), watch) is None
+    case = SimpleNamespace(standing=SimpleNamespace(names=frozenset(), effects=()))
+    assert search.search(case, watch) is None
     now[0] = 4.0
     watch.check()
     now[0] = 9.5
