@@ -69,6 +69,8 @@ def account_of(
         say("searching captures that tell the closest candidates apart")
         stated = replace(stated, next_captures=tuple(next_captures(*prepared.settled(nominal), _pairs(case, like))))
     verdict = _verdict(like, bool(words), confirm)
+    if verdict == "unexplained" and stated.effects:
+        stated, ladder = _denied(stated, nominal), tuple(row for row in ladder if row.model == nominal.name)
     return replace(
         stated,
         verdict="unfinished" if cut and verdict == "consistent" else verdict,
@@ -78,6 +80,13 @@ def account_of(
         holdout_gain=confirm,
         not_looked_at=(f"what more may be missing: the search ended while {cut}", *_not_fitted(unfitted)) if cut else (),
     )
+
+
+def _denied(stated: Diagnosis, nominal: CameraModel) -> Diagnosis:
+    """What is said without names that the hold-out fits no better with: beside something unknown they explain nothing."""
+    names = ", ".join(effect.name for effect in stated.effects)
+    words = f"not named, since the hold-out fits no better with it: {names}, which explains the most of the captures used"
+    return replace(stated, effects=(), model=nominal, next_captures=(), notes=(*stated.notes, words))
 
 
 def _stated(case: Investigation, gate: Mapping[str, Any], like: Mapping[str, Likeness], beside: Beside) -> Diagnosis:
