@@ -15,7 +15,7 @@ METRIC_VERSIONS = {
     "chart": 1,
     "dark": 6,
     "find_edges": 3,
-    "flat_fields": 6,
+    "flat_fields": 7,
     "noise_by_level": 3,
     "patches": 2,
     "photon_transfer": 8,

@@ -11,6 +11,7 @@ counted in the degrees of freedom, so white noise gives unbiased parts whatever 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -132,8 +133,12 @@ def decompose(
         excess_kurtosis=parts[2],
         surface=surface,
         correlation=correlation,
-        neighbours=_neighbours(middle, max(parts[0][0], 0.0), max(pixel.value, 0.0)),
+        neighbours=_neighbours(middle, max(parts[0][0], 0.0), max(pixel.value, 0.0)) if moments.frames > 1 else UNTOLD,
     )
+
+
+UNTOLD = (Quantity(math.nan, math.nan, "DN^2"), Quantity(math.nan, math.nan, "DN^2"))
+"""Of one frame: what of it is the specimen's, the same in the next picture, and what is noise, is not known."""
 
 
 def _middle(count: int) -> slice:
