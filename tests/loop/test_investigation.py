@@ -249,7 +249,7 @@ def test_a_further_name_that_nobody_believes_is_not_stated_when_the_search_is_cu
 
 
 def test_a_single_name_with_19_to_1_against_it_is_not_stated():
-    """A verdict named an exposure time with a probability of 0.000, beside something unknown."""
+    """A verdict named an exposure time that nobody believed, beside something unknown."""
     case = case_of(30.0 * np.eye(ROWS)[1])
     stand(case, "black_level")
     assert doubtful(case) == "black_level"

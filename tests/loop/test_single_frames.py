@@ -45,7 +45,7 @@ def test_what_one_frame_cannot_tell_has_no_row(model, plan):
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_right_camera_agrees_with_single_frames(model, plan, seed):
-    """Whitened rows stood at 12,000 in chi2 of 900: neighbours of a flat were known without error."""
+    """Neighbours of a flat were known without error."""
     captures = isetval.simulate(model, plan, seed, draw=True)
     with prepare(model, replace(captures, shots=captures.shots[:6])) as ready:
         _, fitted = ready.settled(model)
