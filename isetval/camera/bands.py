@@ -59,8 +59,8 @@ def bands_nm(model: Sensing, shot: Shot, light: Light | None) -> Float:
 def _as_far_as_seen(model: Sensing, light: Light) -> Float:
     """The model's grid, longer where a table of light and one of efficiency both go on and the sensor sees something.
 
-    Tables count as far as they reach: what a light or an efficiency is beyond its table nobody has said.  A model whose bands
-    were chosen by hand, of one color or few, is left as it is.
+    Tables count as far as they reach: what a light or an efficiency is beyond its table nobody has said.  A model of one band, or
+    a light of one number, is of one color or the same at all: there is nothing to go on.
     """
     grid = model.wavelength_nm
     efficiency = next((e for e in model.effects if isinstance(e, QuantumEfficiency)), None)

@@ -40,7 +40,7 @@ def likenesses(case: Investigation) -> dict[str, Likeness]:
     """Of every named effect: what may stand in its place in the sum, and what shows alike whatever is measured."""
     frame, white, logs = case.nominal_frame, nominal_signatures(case), case.table.logs
     stands, out = case.standing.names, {}
-    others = {c.name for c in case.candidates if c.name not in (*stands, *case.unobservable)}
+    others = [c.name for c in case.candidates if c.name not in (*stands, *case.unobservable)]
     klass = {c.name: c.klass for c in case.candidates}
     best = logs.get(stands, case.score(case.standing))
     close = sorted((names for names, log in logs.items() if abs(log - best) < CLOSE_LOG_ODDS), key=lambda names: -logs[names])

@@ -2,9 +2,8 @@
 
 An edge at best focus leaves the sign of its focus error open, and with it how far an effect moves the film elsewhere or for
 other colors: errors of -a and +a, beside a curvature of k and of k - 2 a / r^2, fit the edges at radius r.  Edges through focus
-tell it.  Where a model lacks an aberration, errors
-of focus of many prior sigmas answer for it, and from there a fit finds less of it, of the other sign.  In another session the
-error is another, and one of the places fits.
+tell it.  Where a model lacks an aberration, errors of focus of many prior sigmas answer for it, and from there a fit finds less
+of it, of the other sign.  In another session the error is another, and one of the places fits.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from isetval.loop.other_focus import OFF, move_alike, other_places
 from isetval.loop.prediction import Point
 from isetval.loop.steps import first_steps
 
-MOST_SIGNS = 2  # numbers whose signs are tried: four fits; a third would make eight
+MOST_SIGNS = 2  # numbers whose signs are tried: three further fits, with a third number seven
 ALIKE = 1.0  # in ln of the probability, within which two ends are as likely: rounding and replicas move it by as much
 
 

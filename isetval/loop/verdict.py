@@ -58,19 +58,15 @@ def account_of(
     stated = _stated(case, gate, like, beside)
     words = [*_words_left(case, beside), *against_priors(case), *unconfirmed(case.standing.names, beside.table)]
     words += _beyond(case.standing.names, beside.table) if cut else []
+    confirm = {} if held is None else _confirm(held, _models(nominal, stated))
+    verdict = _verdict(like, bool(words), confirm)
+    if verdict == "unexplained" and stated.effects:
+        stated = _denied(stated, nominal)
     say("drawing the ladder")
-    models = [nominal] if stated.model is nominal else [nominal, stated.model]
-    ladder = tuple(ladder_rows(prepared, models))
-    confirm: dict[str, Any] = {}
-    if held is not None:
-        ladder += tuple(ladder_rows(held, models))
-        confirm = _confirm(held, models)
+    ladder = tuple(row for part in (prepared, held) if part is not None for row in ladder_rows(part, _models(nominal, stated)))
     if more and stated.effects:
         say("searching captures that tell the closest candidates apart")
         stated = replace(stated, next_captures=tuple(next_captures(*prepared.settled(nominal), _pairs(case, like))))
-    verdict = _verdict(like, bool(words), confirm)
-    if verdict == "unexplained" and stated.effects:
-        stated, ladder = _denied(stated, nominal), tuple(row for row in ladder if row.model == nominal.name)
     return replace(
         stated,
         verdict="unfinished" if cut and verdict == "consistent" else verdict,
@@ -86,7 +82,11 @@ def _denied(stated: Diagnosis, nominal: CameraModel) -> Diagnosis:
     """What is said without names that the hold-out fits no better with: beside something unknown they explain nothing."""
     names = ", ".join(effect.name for effect in stated.effects)
     words = f"not named, since the hold-out fits no better with it: {names}, which explains the most of the captures used"
-    return replace(stated, effects=(), model=nominal, next_captures=(), notes=(*stated.notes, words))
+    return replace(stated, effects=(), model=nominal, notes=(*stated.notes, words))
+
+
+def _models(nominal: CameraModel, stated: Diagnosis) -> list[CameraModel]:
+    return [nominal] if stated.model is nominal else [nominal, stated.model]
 
 
 def _stated(case: Investigation, gate: Mapping[str, Any], like: Mapping[str, Likeness], beside: Beside) -> Diagnosis:
