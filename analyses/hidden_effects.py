@@ -40,7 +40,8 @@ def main(words=None):
         from hidden_trials.calibrate import calibrate
         from hidden_trials.draw import NOMINAL
 
-        calibrate(NOMINAL, options.plan, options.lens, names=tuple(filter(None, options.names.split(","))))
+        names = tuple(filter(None, options.names.split(",")))
+        calibrate(NOMINAL, options.plan, options.lens, names=names, laws_alone=options.laws)
         return 0
     if options.nearest:
         from hidden_trials.draw import NOMINAL
@@ -100,6 +101,7 @@ def _options(words):
     parser.add_argument("--table", action="store_true", help="print target, measured, n of the stored page")
     parser.add_argument("--scales", action="store_true", help="print how well error bars are known, from the nulls of the rows")
     parser.add_argument("--calibrate", action="store_true", help="measure how strongly effects stand out in a plan")
+    parser.add_argument("--laws", action="store_true", help="with --calibrate: only from how many sigmas on stored laws hold")
     parser.add_argument("--predict", action="store_true", help="store the confusions that identify predicts for a plan")
     parser.add_argument("--nearest", action="store_true", help="measure what of each outsider no effect explains in a plan")
     parser.add_argument("--signatures", action="store_true", help="measure how much of each effect its own signature sees")
@@ -196,12 +198,14 @@ def _sum_up(options):
     least = options.first if options.sum_up else 0
     run = [row | {"expected_s": restated_s(row)} for row in _rows(options.rows) if _number(row) >= least]
     empty = [row["id"] for row in run if row["hidden"] and not row.get("changes_bits", True)]
-    rows = [(row, judged(row)) for row in run if row["id"] not in empty]
+    lawless = [row["id"] for row in run if isinstance(row["level"], float) and None in row["expected_s"]]
+    rows = [(row, judged(row)) for row in run if row["id"] not in (*empty, *lawless)]
     if not rows:
         raise SystemExit(f"{options.rows}: no rows yet")
     made = {"isetval": isetval.__version__, "date": datetime.now(UTC).strftime("%Y-%m-%d")}
     made["commits"] = sorted({row.get("commit") or "not known" for row, _ in rows})
     made["empty"] = empty  # an effect hidden by name, in no bit of any frame: neither a null nor an effect, nor one of two
+    made["lawless"] = lawless  # hidden for so many sigmas, which is below where the law of their strength begins
     found = {**made, **_sets(rows), **summary(rows), "confusions": held_against(rows)}
     causes = json.loads(CAUSES.read_text(encoding="utf-8")) if CAUSES.is_file() else {}
     for wrong in found["wrong"]:
@@ -212,6 +216,8 @@ def _sum_up(options):
     print("\n".join(table_lines(found)))
     if empty:
         print(f"left out, since of an effect that is hidden no frame has a bit: {', '.join(empty)}")
+    if lawless:
+        print(f"left out, since how far they stand out by is not known: {', '.join(lawless)}")
     for wrong in found["wrong"]:
         print(f"wrong: {wrong['id']} ({wrong['outcome']}): {wrong['why']}")
     print(f"written: {options.report}")

@@ -26,14 +26,16 @@ from isetval.loop.score_test import make_frame
 from isetval.measure.campaign import measure_campaign
 from isetval.testing.foreign_camera.camera_file import nominal_camera
 from isetval.testing.foreign_camera.campaign import in_setting, write_campaign
-from isetval.testing.foreign_camera.effects import STAGES
-from isetval.testing.foreign_camera.strengths import ALL, STRENGTHS, WITHOUT_LAW, visible
+from isetval.testing.foreign_camera.strengths import ALL, LAW_FROM, STRENGTHS, WITHOUT_LAW, visible
 
 SEEDS = (71, 72, 73)  # of specimens that no trial uses
 WANTED = (10.0, 50.0)  # sigmas: above the noise of the products (about 4), below the bends of most metrics; under them: not seen
 AIM = 20.0  # sigmas at which s is measured, where practice lies outside: near the trials' own strengths
 AS_THE_POWER = 1.7  # ratio to the law within which twice the strength shows: metrics bend; one power more or less would be 2
 TOO_STRONG = 20.0  # times the size in practice: beyond it the effect is another one than what practice meets
+TRIED_AT = (5.0, 8.0, 10.0)  # sigmas at which a law is tried, which roundings may end: what trials hide, and the half of `AIM`
+SURE = 2.0  # standard deviations beyond which a law is denied
+NO_LAW = "fewer codes or places change than it takes"
 ROUNDS = 4
 
 
@@ -85,6 +87,17 @@ class Calibration:
         return math.sqrt(max(common_square(self.differences(concealed, strength)), 0.0))
 
 
+def error_of_common_square(parts):
+    """Standard deviation of `common_square` by what specimens do not have in common: noise that a change of the light draws anew.
+
+    Of a product of two vectors (n,) with a length s in common and a variance v beside it n v^2 + 2 s^2 v, of m products of few
+    specimens the first part over m, the second over the specimens.
+    """
+    n, common = len(parts[0]), max(common_square(parts), 0.0)
+    own = max(float(np.mean([part @ part for part in parts])) - common, 0.0) / n
+    return math.sqrt(n * own**2 / math.comb(len(parts), 2) + 4 * common * own / len(parts))
+
+
 def common_square(parts):
     """Squared length of what vectors (n,) have in common: the mean product of two of them, which noise of each drops out of."""
     return float(np.mean([float(a @ b) for a, b in combinations(parts, 2)]))
@@ -107,35 +120,54 @@ def s_at_one(calibration, concealed):
     return s / strength**concealed.power if 1 / AS_THE_POWER < twice < AS_THE_POWER else 0.0
 
 
-def follows_below(calibration, concealed, one):
-    """Whether s follows the power law at half of the strength at which it is measured too; ``one`` is that at strength 1.
+def law_from(calibration, concealed, one):
+    """The least of `TRIED_AT` sigmas at which s follows the power law, ``one`` being that at strength 1; inf where none does.
 
-    Asked where whole codes are rounded anew, which may all stay what they are.
+    Whole codes that are rounded anew may all stay what they are, and places that are rounded too: of a filter hidden for 10
+    sigmas 8.9 are there, of one for 5 nothing.  0: it follows as far down as trials go.
     """
-    if concealed.key not in STAGES["file"] or not concealed.scaled:
-        return True
-    half = AIM / 2
-    return (
-        one > 0 and 1 / AS_THE_POWER < calibration.sigmas(concealed, (half / one) ** (1 / concealed.power)) / half < AS_THE_POWER
-    )
+    if not concealed.scaled:
+        return 0.0
+    for wanted in TRIED_AT if one > 0 else ():
+        parts = calibration.differences(concealed, (wanted / one) ** (1 / concealed.power))
+        found, error = common_square(parts), SURE * error_of_common_square(parts)
+        if found + error > (wanted / AS_THE_POWER) ** 2 and found - error < (wanted * AS_THE_POWER) ** 2:
+            return 0.0 if wanted == min(TRIED_AT) else wanted
+    return math.inf
 
 
-def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, say=print):
-    """Measure s at strength 1 of all that shows in a plan; writes after each, so that a killed run loses one."""
+def calibrate(nominal_folder, plan, lens, *, names=(), path=STRENGTHS, laws_alone=False, say=print):
+    """Measure s at strength 1 of all that shows in a plan, and from where on its law holds; or the latter alone, of what has one.
+
+    Writes after each, so that a killed run loses one.
+    """
     if unknown := set(names) - {c.key for c in ALL.values() if visible(c, plan)}:
         raise SystemExit(f"--names: {unknown.pop()} is nothing that shows in the plan {plan}; see isetval/testing/foreign_camera")
     known = json.loads(Path(path).read_text(encoding="utf-8")) if Path(path).is_file() else {}
-    own = known.setdefault(f"{plan}/{lens}", {})
-    wanted = [c for c in ALL.values() if visible(c, plan) and (c.key in names or (not names and c.key not in own))]
+    own, lawless, least = (known.setdefault(k, {}) for k in (f"{plan}/{lens}", WITHOUT_LAW, LAW_FROM))
+    lawless, least = (part.setdefault(f"{plan}/{lens}", {}) for part in (lawless, least))
+    asked = [c for c in ALL.values() if visible(c, plan) and (c.key in names or not names)]
+    if laws_alone:
+        wanted = [c for c in asked if own.get(c.key) and c.scaled and c.key not in least and c.key not in lawless]
+    else:
+        wanted = [c for c in asked if names or c.key not in own]
     if not wanted:
         return
     calibration = Calibration(nominal_folder, plan, lens)
     for concealed in wanted:
-        one = s_at_one(calibration, concealed)
-        lawless = known.setdefault(WITHOUT_LAW, {}).setdefault(f"{plan}/{lens}", {})
+        one = own[concealed.key] if laws_alone else s_at_one(calibration, concealed)
+        lowest = law_from(calibration, concealed, one)
         lawless.pop(concealed.key, None)
-        if not follows_below(calibration, concealed, one):
-            one, lawless[concealed.key] = calibration.sigmas(concealed, 1.0), "whole codes are rounded anew"
+        least.pop(concealed.key, None)
+        if one > 0 and lowest > max(TRIED_AT):
+            one, lawless[concealed.key] = calibration.sigmas(concealed, 1.0), NO_LAW
+        elif one > 0:
+            least[concealed.key] = lowest
         own[concealed.key] = round(one, 3)
-        say(f"{plan}/{lens} {concealed.key}: s {own[concealed.key]:.2f} at the strength of practice")
+        say(f"{plan}/{lens} {concealed.key}: s {own[concealed.key]:.2f} at the strength of practice, {_law(lowest)}")
         Path(path).write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _law(lowest):
+    """From where on a law holds, in words."""
+    return f"by its law from {lowest or min(TRIED_AT):g} on" if math.isfinite(lowest) else "by no law below"

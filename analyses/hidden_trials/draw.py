@@ -16,7 +16,7 @@ from isetval.testing.foreign_camera.concealed import FROM_NOMINAL
 from isetval.testing.foreign_camera.concealed_effects import EFFECTS
 from isetval.testing.foreign_camera.concealed_strangers import FORMS, OUTSIDERS
 from isetval.testing.foreign_camera.plan import PLANS
-from isetval.testing.foreign_camera.strengths import ALL, measured_strengths, strength_for, visible
+from isetval.testing.foreign_camera.strengths import ALL, has_law, measured_strengths, strength_for, visible
 
 KINDS = ("null", "single", "pair", "form", "outsider")
 # three nulls, four singles, one of each other kind in ten: as many as 500 trials are to hold, mixed at every length
@@ -106,8 +106,13 @@ def _levels(kind, plan):
 
 
 def _expected(concealed, strength, plan, lens):
+    """What is hidden stands out by; None where that is not known: never measured, or below where its law begins."""
     one = measured_strengths().get(f"{plan}/{lens}", {}).get(concealed.key)
-    return None if one is None else round(one * strength**concealed.power, 2)
+    if one is None:
+        return None
+    s = one * strength**concealed.power
+    known = strength == 1.0 or not concealed.scaled or has_law(concealed, s, plan, lens)
+    return round(s, 2) if known else None
 
 
 def restated_s(row):

@@ -23,6 +23,7 @@ def write_page(found, path):
         "camera that shares no code with isetval (<code>isetval.testing.foreign_camera</code>); no answer counts as wrong. "
         "Intervals are Wilson's 95 %; green: the share meets its target, amber: only its interval does, red: neither.</p>",
         _empty(found),
+        _lawless(found),
         _targets(found),
         "<h2>Power</h2>", _svg(_power, found), "<h2>Is the stated posterior true?</h2>", _svg(_reliability, found),
         "<h2>Pulls of fitted parameters</h2>", _svg(_pulls, found),
@@ -40,6 +41,15 @@ def _empty(found):
     return (
         "<p>Left out, since of an effect that is hidden no frame has a bit (less than half a code in effects that act on whole "
         f"codes): {escape(', '.join(found['empty']))}.</p>"
+    )
+
+
+def _lawless(found):
+    if not found.get("lawless"):
+        return ""
+    return (
+        "<p>Left out, since how far what is hidden stands out by is not known (fewer codes or places change than the law of its "
+        f"strength says): {escape(', '.join(found['lawless']))}.</p>"
     )
 
 

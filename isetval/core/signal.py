@@ -137,12 +137,12 @@ class Layer:
 class Filters:
     """How the colour filters differ from their tables: stated by effects in front of the quantum efficiency, which applies it.
 
-    ``leak`` is a quantum efficiency added beyond the infrared-cut filter, in electrons per photon; ``shift_nm`` moves the
-    curves by so much at `SHIFT_STATED_AT_NM`, elsewhere in proportion to the wavelength, and broadcasts to (rows, cols) (None:
-    nowhere); ``apart_nm`` moves those of red, green and blue each by its own, which may be another one in each band (bands,).
+    ``leak`` is a quantum efficiency added beyond the infrared-cut filter, in electrons per photon (channels, bands); ``shift_nm``
+    moves the curves by so much at `SHIFT_STATED_AT_NM`, elsewhere in proportion to the wavelength, and broadcasts to (rows, cols)
+    (None: nowhere); ``apart_nm`` moves those of red, green and blue each by its own, which may be another in each band (bands,).
     """
 
-    leak: float = 0.0
+    leak: Float | float = 0.0
     shift_nm: Float | None = None
     apart_nm: tuple[Float | float, Float | float, Float | float] = (0.0, 0.0, 0.0)
 
@@ -234,7 +234,7 @@ class Signal:
         return replace(self, pupil=pupil)
 
     def filtered(
-        self, *, leak: float = 0.0, shift_nm: Float | None = None, apart_nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self, *, leak: Float | float = 0.0, shift_nm: Float | None = None, apart_nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> Signal:
         """The signal in front of changed colour filters; further changes add up."""
         before = self.filters.shift_nm

@@ -95,9 +95,10 @@ class QeShift(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class IrLeak(Effect):
-    """Response beyond the infrared-cut filter, equal in all channels: seen under light A only.
+    """Response beyond the infrared-cut filter, equal in all channels unless it is said otherwise: seen under light A only.
 
-    Reaches as far as the tables of light and of quantum efficiency do.  Stands before quantum_efficiency, which adds it.
+    Reaches as far as the tables of light and of quantum efficiency do, or to where it has fallen to nothing: silicon absorbs less
+    and less up to 1100 nm, and dyes of the filters differ up to about 800 nm.  Stands before quantum_efficiency, which adds it.
     """
 
     name = "ir_leak"
@@ -111,15 +112,25 @@ class IrLeak(Effect):
         "channel_gain",
         "spectral_crosstalk",
     )
-    equation = "QE + eps for lambda > 700 nm"
-    reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., sec. 5.3 (infrared-cut filter)"
+    equation = "QE_c + eps (1 + d_c) max(0, 1 - f (lambda - 700 nm) / 100 nm) for lambda > 700 nm, d_green = 0"
+    reference = "Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., sec. 5.3 (infrared-cut filter); f: ours"
     must_not_change = ("dark", "edge")
 
     eps: float = parameter(0.0, unit="e-/photon", low=0.0, high=1.0, tau=0.02, doc="quantum efficiency added above 700 nm")
+    fall_per_100_nm: float = parameter(
+        0.0, unit="1", low=0.0, high=4.0, tau=0.25, shape=True, doc="fall f of it over 100 nm (silicon from 700 to 1100 nm: .25)"
+    )
+    d_red: float = parameter(0.0, unit="1", low=-1.0, high=20.0, tau=0.3, shape=True, doc="red's leak over green's, less 1")
+    d_blue: float = parameter(0.0, unit="1", low=-1.0, high=20.0, tau=0.3, shape=True, doc="blue's leak over green's, less 1")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """State the leak for quantum_efficiency."""
-        return signal.filtered(leak=self.eps) if self.eps else signal
+        """State the leak for quantum_efficiency, which asks for wavelengths."""
+        grid = signal.wavelength_nm
+        if not self.eps or grid is None:
+            return signal
+        colors = [1.0] if context.sensor.cfa == "MONO" else [1 + self.d_red, 1.0, 1 + self.d_blue]
+        left = np.maximum(0.0, 1 - self.fall_per_100_nm * (grid - LEAK_ABOVE_NM) / 100) * (grid > LEAK_ABOVE_NM)
+        return signal.filtered(leak=self.eps * np.outer(colors, left))
 
 
 @lru_cache(maxsize=32)
@@ -215,7 +226,7 @@ class QuantumEfficiency(Effect):
             raise InputError("effect quantum_efficiency: the light carries no wavelengths; give the signal wavelength_nm")
         area_m2 = (context.sensor.pixel_um * 1e-6) ** 2
         photons = grid * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S) * area_m2 * context.time_s() * _trapezoid(grid)
-        leak = signal.filters.leak * (grid > LEAK_ABOVE_NM)
+        leak = signal.filters.leak
         shift, apart = signal.filters.shift_nm, signal.filters.apart_nm
         nodes = np.zeros(1) if shift is None else np.unique(np.floor(shift))
         total: Any = 0.0

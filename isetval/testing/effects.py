@@ -198,7 +198,8 @@ def _check_signal(effect: Effect) -> None:
     if effect.acts_on == effect.gives == "irradiance":
         stated = effect.apply(signal.filtered(leak=0.5), context).filters.leak - after.filters.leak
         _need(
-            stated == 0.5, f"effect {effect.name}: what other effects state of the filters is lost; derive from the signal it got"
+            np.allclose(stated, 0.5),
+            f"effect {effect.name}: what other effects state of the filters is lost; derive from the signal it got",
         )
         _need(after.wavelength_nm is not None, f"effect {effect.name}: the light has lost its wavelengths")
     if effect.stage in ("exposure", "electronics", "file"):

@@ -227,11 +227,22 @@ def test_an_effect_between_leak_and_quantum_efficiency_keeps_the_leak(place, lig
 
 
 def test_changes_of_the_filters_add_up(place, light):
-    twice = IrLeak(eps=0.02).apply(IrLeak(eps=0.01).apply(light(), place()), place())
-    assert twice.filters.leak == pytest.approx(0.03)
+    grid = (690.0, 710.0)
+    twice = IrLeak(eps=0.02).apply(IrLeak(eps=0.01).apply(light((1.0, 1.0), grid), place()), place())
+    np.testing.assert_allclose(twice.filters.leak, [[0.0, 0.03]] * 3)
     moved = CfaAngleShift(delta_nm=-4.0).apply(twice, place())
     np.testing.assert_allclose(moved.filters.shift_nm, -4.0 * place().field_radius() ** 2)
-    assert moved.filters.leak == twice.filters.leak
+    assert moved.filters.leak is twice.filters.leak or np.array_equal(moved.filters.leak, twice.filters.leak)
+
+
+def test_a_leak_falls_as_silicon_does_and_differs_by_color(place, light, quantum):
+    """A third of the leak at 700 nm is left where it fell by a quarter per 100 nm for 270 nm; red's is a tenth more."""
+    qe = quantum("wavelength_nm,R,G,B", [(400, 0.0, 0.0, 0.0), (1200, 0.0, 0.0, 0.0)])
+    leak = IrLeak(eps=0.02, fall_per_100_nm=0.25, d_red=0.1, d_blue=-0.5)
+    for nm, left in ((699.0, 0.0), (800.0, 0.75), (970.0, 0.325), (1100.0, 0.0), (1150.0, 0.0)):
+        out = qe.apply(leak.apply(light(np.ones(1), (nm,)), place()), place()).values[:, 0, 0]
+        photons = nm * 1e-9 / (6.62607015e-34 * 299792458.0)
+        np.testing.assert_allclose(out, 0.02 * left * photons * 1.96e-12 * 0.1 * np.array([1.1, 1.0, 0.5]), atol=1e-12)
 
 
 def test_a_laboratory_may_not_know_the_sensitivity_in_a_light(place, light, quantum):

@@ -14,7 +14,7 @@ sys.path.insert(0, str(ANALYSES))
 
 import hidden_effects  # noqa: E402
 from hidden_trials import draw  # noqa: E402
-from hidden_trials.calibrate import common_square, follows_below  # noqa: E402
+from hidden_trials.calibrate import common_square, error_of_common_square, law_from  # noqa: E402
 from hidden_trials.judge import judged  # noqa: E402
 from hidden_trials.nearest import tells_apart  # noqa: E402
 from hidden_trials.own_signature import along_signatures  # noqa: E402
@@ -58,13 +58,41 @@ def test_stored_strengths_are_restated_by_the_laws_of_now():
 
 
 @pytest.mark.parametrize(
-    ("key", "least", "follows"),
-    [("linearization_table", 0.12, False), ("linearization_table", 0.0, True), ("vignetting_early", 0.12, True)],
+    ("key", "nothing_to", "law_holds_from"),
+    [("linearization_table", 6.0, 8.0), ("position_scale", 60.0, np.inf), ("vignetting", 0, 0)],
 )
-def test_codes_that_all_stay_what_they_are_end_a_law(key, least, follows):
-    """Below some strength a table bends no code by half of one; what light does is not asked for."""
-    calibration = SimpleNamespace(sigmas=lambda concealed, strength: 216.0 * strength if strength > least else 0.0)
-    assert follows_below(calibration, ALL[key], 216.0) == follows
+def test_codes_and_places_that_stay_what_they_are_end_a_law(key, nothing_to, law_holds_from):
+    """Below some strength a table bends no code by half of one, and a place is rounded to that it has."""
+    of = lambda strength: np.array([216.0 * strength * (216.0 * strength > nothing_to)])  # noqa: E731
+    own = SimpleNamespace(differences=lambda concealed, strength: [of(strength)] * 3)
+    assert law_from(own, ALL[key], 216.0) == law_holds_from
+
+
+def test_noise_denies_no_law():
+    """Noise that a change of the light draws anew is as long as the effect itself at few sigmas: only what is clear counts."""
+    rng = np.random.default_rng(3)
+
+    def differences(concealed, strength, noise=1.4):
+        return [np.r_[size * strength, np.zeros(1699)] + noise * rng.standard_normal(1700) for _ in range(3)]
+
+    size = 216.0
+    own = SimpleNamespace(differences=differences)
+    assert [law_from(own, ALL["spd_mismatch"], 216.0) for _ in range(20)].count(0.0) >= 18
+    products = np.array([common_square(differences(None, 5 / size)) for _ in range(400)])
+    stated = error_of_common_square(differences(None, 5 / size))
+    assert np.std(products) == pytest.approx(stated, rel=0.2)
+
+
+def test_a_trial_hides_nothing_below_where_its_law_begins(monkeypatch):
+    gain, plan = ALL["digital_gain"], "full/open"
+    known = strengths.measured_strengths()
+    begun = known | {strengths.LAW_FROM: {plan: {gain.key: 8.0}}}
+    monkeypatch.setattr(strengths, "measured_strengths", lambda: begun)
+    assert strengths.strength_for(gain, 5.0, "full", "open") is None
+    strength = strengths.strength_for(gain, 8.0, "full", "open")
+    assert strength == pytest.approx((8 / known[plan][gain.key]) ** (1 / gain.power))
+    assert draw._expected(gain, strength, "full", "open") == 8.0
+    assert draw._expected(gain, 0.9 * strength, "full", "open") is None
 
 
 def test_what_follows_no_law_is_hidden_as_met_in_practice_only(monkeypatch):
