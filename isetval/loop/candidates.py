@@ -18,7 +18,9 @@ from isetval.effects import catalogue
 
 Float = NDArray[np.float64]
 UNLIMITED_E = 1e9  # a full well that is none (`isetval.effects.electrons.FullWell`)
-FULL_WELL_E, GAIN_DN_PER_E = 6000.0, 0.1707  # of the camera for which the catalogue states charges, numbers and their priors
+FULL_WELL_E, GAIN_DN_PER_E, PIXEL_UM = 6000.0, 0.1707, 1.4
+"""Of the camera for which the catalogue states charges, numbers and their priors."""
+RATE_E_PER_S = 1.0  # the catalogue's width of a dark current: a camera's own, where it is more, may be wrong by as much as itself
 WIDER = 10.0  # how much wider a wrong prior of the laboratory may be: an order of magnitude, a slip in a unit or a lamp moved
 
 
@@ -27,11 +29,13 @@ class Scale:
     """A camera's lens, and how much larger its charges and digital numbers are than those that the catalogue is stated for.
 
     A response that loses 2 % at full well, a knee at a third of it, rows that scatter by an electron: of a sensor of 60,000 e-
-    these are other numbers than of one of 6,000.
+    these are other numbers than of one of 6,000.  What darkness collects grows with the area of a pixel, and with
+    how warm the sensor is: by the width that a phone's glow has, one that a sensor of 20 e-/s shows clearly was not observable.
     """
 
     charge: float = 1.0
     dn: float = 1.0
+    rate: float = 1.0
     focal_mm: float = 0.0  # of its lens, as an effect of the model states it; 0: none does
 
     @classmethod
@@ -40,15 +44,17 @@ class Scale:
         gain = model.value("conversion_gain.gain_dn_per_e") if model.effect("conversion_gain") is not None else 0.0
         stated = {effect.name: effect.values()["focal_mm"] for effect in model.effects if effect.values().get("focal_mm")}
         focal_mm = stated.get("cos4") or next(iter(stated.values()), 0.0)  # the first is the distance of the exit pupil
+        dark_e_per_s = model.value("dark_current.rate_e_per_s") if model.effect("dark_current") is not None else 0.0
+        rate = max((model.sensor.pixel_um / PIXEL_UM) ** 2, dark_e_per_s / RATE_E_PER_S)
         if gain <= 0:
-            return cls(focal_mm=focal_mm)
+            return cls(rate=rate, focal_mm=focal_mm)
         well_e = model.value("full_well.well_e") if model.effect("full_well") is not None else np.inf
         end_e = (model.sensor.white_dn - float(np.mean(model.sensor.black_dn))) / gain
-        return cls((well_e if well_e < UNLIMITED_E else end_e) / FULL_WELL_E, gain / GAIN_DN_PER_E, focal_mm)
+        return cls((well_e if well_e < UNLIMITED_E else end_e) / FULL_WELL_E, gain / GAIN_DN_PER_E, rate, focal_mm)
 
     def width(self, effect: Effect, info: ParameterInfo) -> ParameterInfo:
         """A parameter with the width of its prior in this camera."""
-        by_unit = {"DN": self.dn, "DN/e-": self.dn, "1/e-": 1 / self.charge}
+        by_unit = {"DN": self.dn, "DN/e-": self.dn, "1/e-": 1 / self.charge, "e-/s": self.rate, "e-/s/frame": self.rate}
         factor = self.charge if info.name in effect.of_full_well else by_unit.get(info.unit, 1.0)
         return info if info.tau is None or factor == 1 else replace(info, tau=info.tau * factor)
 

@@ -138,6 +138,21 @@ def test_charges_and_numbers_of_the_catalogue_grow_with_the_camera(model):
     assert curve.well_e == pytest.approx(end_e)
 
 
+def test_what_darkness_collects_grows_with_the_pixel_and_the_dark_current(model):
+    """A pixel of four times the area collects four times as much; a dark current of 20 e-/s may be wrong by as much as itself."""
+    names = ("dark_current", "amp_glow", "temperature_drift", "dark_current_nonuniformity")
+
+    def widths(camera):
+        found = {c.name: c for c in candidates_for(camera)}
+        return np.array([found[name].tau[0] for name in names])
+
+    catalogue_s = [1.0, 3.0, 0.5, 0.5]
+    np.testing.assert_allclose(widths(model.with_values({"dark_current.rate_e_per_s": 0.2})), catalogue_s)
+    np.testing.assert_allclose(widths(model.with_values({"dark_current.rate_e_per_s": 20.0})), 20 * np.array(catalogue_s))
+    large = replace(model, sensor=replace(model.sensor, pixel_um=2.8)).with_values({"dark_current.rate_e_per_s": 0.2})
+    np.testing.assert_allclose(widths(large), 4 * np.array(catalogue_s))
+
+
 def test_dust_may_lie_in_any_window_of_the_flats(model):
     """From the middle alone a grain elsewhere was answered with a form of decenter."""
     sensor = model.sensor
