@@ -18,43 +18,49 @@ from isetval.effects import catalogue
 
 Float = NDArray[np.float64]
 UNLIMITED_E = 1e9  # a full well that is none (`isetval.effects.electrons.FullWell`)
-FULL_WELL_E, GAIN_DN_PER_E, PIXEL_UM = 6000.0, 0.1707, 1.4
-"""Of the camera for which the catalogue states charges, numbers and their priors."""
+FULL_WELL_E, GAIN_DN_PER_E, PIXEL_UM, LIGHT = 6000.0, 0.1707, 1.4, 1e-3
+"""Of the camera for which the catalogue states charges, numbers and their priors, and of its light, W/(sr m2 nm)."""
+VISIBLE_NM = np.arange(400.0, 701.0, 10.0)
 RATE_E_PER_S = 1.0  # the catalogue's width of a dark current: a camera's own, where it is more, may be wrong by as much as itself
 WIDER = 10.0  # how much wider a wrong prior of the laboratory may be: an order of magnitude, a slip in a unit or a lamp moved
 
 
 @dataclass(frozen=True)
 class Scale:
-    """A camera's lens, and how much larger its charges and digital numbers are than those that the catalogue is stated for.
+    """A camera's lens, and how much larger its charges, digital numbers and light are than those the catalogue is stated for.
 
     A response that loses 2 % at full well, a knee at a third of it, rows that scatter by an electron: of a sensor of 60,000 e-
     these are other numbers than of one of 6,000.  What darkness collects grows with the area of a pixel, and with
     how warm the sensor is: by the width that a phone's glow has, one that a sensor of 20 e-/s shows clearly was not observable.
+    Light of the room is a part of what laboratories work with, which differs by decades.
     """
 
     charge: float = 1.0
     dn: float = 1.0
     rate: float = 1.0
+    light: float = 1.0
     focal_mm: float = 0.0  # of its lens, as an effect of the model states it; 0: none does
 
     @classmethod
-    def of(cls, model: CameraModel) -> Scale:
-        """That of a model: its full well, or the charge at the converter's end, and its conversion gain."""
+    def of(cls, model: CameraModel, brightest: float = LIGHT) -> Scale:
+        """That of a model: its full well, or the charge at the converter's end, its conversion gain, the light that it sees."""
         gain = model.value("conversion_gain.gain_dn_per_e") if model.effect("conversion_gain") is not None else 0.0
         stated = {effect.name: effect.values()["focal_mm"] for effect in model.effects if effect.values().get("focal_mm")}
         focal_mm = stated.get("cos4") or next(iter(stated.values()), 0.0)  # the first is the distance of the exit pupil
         dark_e_per_s = model.value("dark_current.rate_e_per_s") if model.effect("dark_current") is not None else 0.0
         rate = max((model.sensor.pixel_um / PIXEL_UM) ** 2, dark_e_per_s / RATE_E_PER_S)
         if gain <= 0:
-            return cls(rate=rate, focal_mm=focal_mm)
+            return cls(rate=rate, light=brightest / LIGHT, focal_mm=focal_mm)
         well_e = model.value("full_well.well_e") if model.effect("full_well") is not None else np.inf
         end_e = (model.sensor.white_dn - float(np.mean(model.sensor.black_dn))) / gain
-        return cls((well_e if well_e < UNLIMITED_E else end_e) / FULL_WELL_E, gain / GAIN_DN_PER_E, rate, focal_mm)
+        return cls(
+            (well_e if well_e < UNLIMITED_E else end_e) / FULL_WELL_E, gain / GAIN_DN_PER_E, rate, brightest / LIGHT, focal_mm
+        )
 
     def width(self, effect: Effect, info: ParameterInfo) -> ParameterInfo:
         """A parameter with the width of its prior in this camera."""
         by_unit = {"DN": self.dn, "DN/e-": self.dn, "1/e-": 1 / self.charge, "e-/s": self.rate, "e-/s/frame": self.rate}
+        by_unit["W/(sr m2 nm)"] = self.light
         factor = self.charge if info.name in effect.of_full_well else by_unit.get(info.unit, 1.0)
         return info if info.tau is None or factor == 1 else replace(info, tau=info.tau * factor)
 
@@ -205,16 +211,17 @@ def candidates_for(
     lights: Sequence[str] = (),
     gaps_s: Sequence[float] = (),
     places: Sequence[Place] = (),
+    brightest: float = LIGHT,
 ) -> tuple[Candidate, ...]:
     """All candidates of a model, in the order of the catalogue; without those that an effect of the model contains.
 
     Each form of an effect is a candidate.  Where several ``lights`` are used, so is an effect for each light that it may concern;
     what switches at an exposure time is one for each of the ``gaps_s`` between those of the plan, and what lies at one place of
-    the field for each of its ``places``.
+    the field for each of its ``places``.  ``brightest`` is the radiance of the brightest light, W/(sr m2 nm).
     """
     contained = {name for effect in model.effects for name in effect.replaces}
     chief_ray = any(effect.states_chief_ray() for effect in model.effects)
-    scale = Scale.of(model)
+    scale = Scale.of(model, brightest)
     out: list[Candidate] = []
     for name, cls in sorted(catalogue().items()):
         if not cls.candidate:
@@ -317,6 +324,12 @@ def places_of(plan: Campaign) -> tuple[Place, ...]:
 def lights_of(plan: Campaign) -> tuple[str, ...]:
     """Names of the lights that a plan uses, each once."""
     return tuple(dict.fromkeys(shot.light for shot in plan.shots if shot.light))
+
+
+def brightest_of(plan: Campaign) -> float:
+    """Mean radiance from 400 to 700 nm of a plan's brightest light, W/(sr m2 nm); the catalogue's where it uses none."""
+    means = [float(np.mean(plan.lights[name].radiance.at(VISIBLE_NM))) for name in lights_of(plan) if name in plan.lights]
+    return max(means, default=0.0) or LIGHT
 
 
 def gaps_of(plan: Campaign) -> tuple[float, ...]:

@@ -10,7 +10,7 @@ from typing import Any
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
-from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
+from isetval.loop.candidates import Candidate, brightest_of, candidates_for, doubts_for, gaps_of, lights_of, places_of
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values, focus_values
 from isetval.loop.focus_chain import moves_focus
@@ -139,7 +139,8 @@ def _gate_failed(case: Investigation, gate: Mapping[str, Any]) -> Diagnosis:
 def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared | None = None) -> Investigation:
     say("fitting the nuisances of the nominal model")
     problem, fitted = prepared.settled(model)
-    wanted = candidates_for(model, lights_of(problem.plan), gaps_of(problem.plan), places_of(problem.plan))
+    plan = problem.plan
+    wanted = candidates_for(model, lights_of(plan), gaps_of(plan), places_of(plan), brightest_of(plan))
     say(f"simulating the signatures of {len(wanted)} candidate effects")
     frame = make_frame(fitted)
     focus = [f for f in fitted.free if f.focus]

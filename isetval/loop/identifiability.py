@@ -14,7 +14,7 @@ from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign
 from isetval.core.jsonable import plain
 from isetval.core.shown import Drawn
-from isetval.loop.candidates import candidates_for
+from isetval.loop.candidates import brightest_of, candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.next_captures import KEEP, next_captures
@@ -112,7 +112,8 @@ def identify(
         problem = prepared.problem
         fitted = fit(problem, Point(model), nuisance_parameters(problem.plan, model))
         frame = make_frame(fitted)
-        own = [c for c in candidates_for(model) if c.name == c.klass]  # of several forms of an effect the first speaks for it
+        every = candidates_for(model, brightest=brightest_of(problem.plan))
+        own = [c for c in every if c.name == c.klass]  # of several forms of an effect the first speaks for it
         made = signatures(problem, Point(model), own, project=frame.basis[: frame.rows])
         each = problem.whitened_each([s.columns for s in made])
         white = {s.candidate.name: part for s, part in zip(made, each, strict=True)}

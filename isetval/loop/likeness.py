@@ -23,8 +23,8 @@ LIKELY = 0.5  # what one of several names must be: it claims to be a part of the
 class Likeness:
     """What else could be meant by a named effect: ``rivals`` explain the data about as well, ``alike`` any data.
 
-    Rivals do so alone or several together.  What explains them far better, and no turn was left to name it, is no rival: the data
-    tell it from what is named.
+    Rivals do so alone or several together, each of them needed: beside one that does alone another may be there or not.  What
+    explains them far better, and no turn was left to name it, is no rival: the data tell it from what is named.
     """
 
     rivals: tuple[str, ...]
@@ -47,7 +47,9 @@ def likenesses(case: Investigation) -> dict[str, Likeness]:
     for name in (m.name for m in case.standing.effects):
         rest = stands - {name}
         other = [o for o in others if klass[o] != klass[name]]
-        near = [o for names in close if rest <= names and name not in names for o in sorted(names - rest) if o in other]
+        instead = [names for names in close if rest < names and name not in names]
+        needed = [names for names in instead if not any(fewer < names for fewer in instead)]
+        near = [o for names in needed for o in sorted(names - rest) if o in other]
         alike = dict.fromkeys(klass[o] for o in other if cosine(frame, white[name], white[o]) > SAME_RHO)
         rivals = dict.fromkeys(klass[o] for o in near)
         out[name] = Likeness(tuple(rivals), tuple(alike))

@@ -11,7 +11,7 @@ from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.loop.candidates import candidates_for, gaps_of, lights_of, places_of
+from isetval.loop.candidates import brightest_of, candidates_for, gaps_of, lights_of, places_of
 
 
 def test_a_spectrum_may_be_wrong_for_one_light(model):
@@ -151,6 +151,20 @@ def test_what_darkness_collects_grows_with_the_pixel_and_the_dark_current(model)
     np.testing.assert_allclose(widths(model.with_values({"dark_current.rate_e_per_s": 20.0})), 20 * np.array(catalogue_s))
     large = replace(model, sensor=replace(model.sensor, pixel_um=2.8)).with_values({"dark_current.rate_e_per_s": 0.2})
     np.testing.assert_allclose(widths(large), 4 * np.array(catalogue_s))
+
+
+def test_stray_light_is_a_part_of_the_light_of_a_laboratory(model):
+    """Three percent of a lamp: by a width in radiance alone a sphere ten times as bright had a room of a thirtieth of that."""
+    lights = {name: Light(name, Spectrum.flat(level)) for name, level in (("dim", 0.001), ("bright", 0.01), ("unused", 1.0))}
+    shots = (Shot("a", "flat", light="dim"), Shot("b", "flat", light="bright"), Shot("c", "dark"))
+    plan = Campaign("p", shots, lights=lights)
+    assert brightest_of(plan) == pytest.approx(0.01)
+    assert brightest_of(replace(plan, shots=shots[2:])) == pytest.approx(0.001)
+
+    def width(**known):
+        return next(c for c in candidates_for(model, **known) if c.name == "ambient_light").tau[0]
+
+    assert width(brightest=brightest_of(plan)) == pytest.approx(10 * width())
 
 
 def test_dust_may_lie_in_any_window_of_the_flats(model):
