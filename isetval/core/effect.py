@@ -172,9 +172,9 @@ class Effect:
     shape that is looked for over all its values. ``forms`` are the shapes that it may have, by field, its own first: each is
     a candidate of a diagnosis, which weighs shape parameters with a ``tau`` once the effect is named, ``further_shapes``
     only beside all others (an onset alone is known ten times as well as with its power); ``of_full_well`` names charges
-    that are stated for a full well of 6,000 e-, and are as much larger in a camera as its own is; ``free`` is the
-    axis along which its form may be any smooth one. With every
-    parameter at its null it must be the identity, unless it gives another unit than it acts on.
+    that are stated for a full well of 6,000 e-, and are as much larger in a camera as its own is, ``of_focus_depth`` shifts of
+    focus whose priors are stated for an f-number of 1.73 and pixels of 1.4 um; ``free`` is the axis along which its form may be
+    any smooth one. With every parameter at its null it must be the identity, unless it gives another unit than it acts on.
     """
 
     name: ClassVar[str] = ""
@@ -200,6 +200,7 @@ class Effect:
     uses_mean_irradiance: ClassVar[bool] = False
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {}
     of_full_well: ClassVar[tuple[str, ...]] = ()
+    of_focus_depth: ClassVar[tuple[str, ...]] = ()
     further_shapes: ClassVar[tuple[str, ...]] = ()
     free: ClassVar[FreeAxis | None] = None
     replaces: ClassVar[tuple[str, ...]] = ()

@@ -109,6 +109,7 @@ class Defocus(Effect):
         "charge_diffusion",
         "axial_color",
     )
+    of_focus_depth = ("z_um",)
     equation = "W20 = z/(8 N^2); geometric: 2 J1(X)/X, X = pi (z/N) f"
     reference = "Hopkins, Proc. R. Soc. A 231 (1955) 91"
     must_not_change = ("dark", "flat", "illumination")
@@ -144,6 +145,7 @@ class FieldCurvature(Effect):
         "defocus",
     )
     free = FreeAxis("field radius", "strength", 0.5)
+    of_focus_depth = ("kappa_um",)
     equation = "z += kappa r^2, r = 1 at the corner"
     reference = "Born & Wolf, Principles of Optics, 7th ed., sec. 5.3 (Petzval curvature)"
     must_not_change = ("dark", "flat", "illumination")
@@ -179,6 +181,7 @@ class SensorTilt(Effect):
         "chart_tilt",
     )
     free = FreeAxis("field radius", "strength", 0.5)
+    of_focus_depth = ("alpha_um", "beta_um")
     equation = "z += alpha x + beta y, x and y in half diagonals"
     reference = "geometry; Holst & Lomheim, CMOS/CCD Sensors and Camera Systems, 2nd ed., ch. 10"
     must_not_change = ("dark", "flat", "illumination")
@@ -215,6 +218,7 @@ class AxialColor(Effect):
         "defocus",
         "lateral_color",
     )
+    of_focus_depth = ("red_um", "blue_um")
     equation = "z(lambda) = z + a(lambda); a(610) = a_R, a(540) = 0, a(460) = a_B"
     reference = "Kingslake & Johnson, Lens Design Fundamentals, 2nd ed., ch. 5"
     must_not_change = ("dark", "flat", "illumination")

@@ -153,6 +153,20 @@ def test_what_darkness_collects_grows_with_the_pixel_and_the_dark_current(model)
     np.testing.assert_allclose(widths(large), 4 * np.array(catalogue_s))
 
 
+def test_shifts_of_focus_are_as_long_as_blur_a_pixel(model):
+    """At f/4 and 5.6 um a shift of 46 um blurs as many pixels as one of 5 um at f/1.73 and 1.4 um; no lens is decentered more."""
+    names = ("defocus", "field_curvature", "sensor_tilt", "axial_color", "decenter")
+
+    def widths(camera):
+        found = {c.name: c for c in candidates_for(camera)}
+        return np.array([found[name].tau[-1] for name in names])
+
+    slow = replace(model, sensor=replace(model.sensor, pixel_um=5.6))
+    slow = slow.with_values({f"{e.name}.f_number": 4.0 for e in model.effects if "f_number" in e.values()})
+    factor = 4.0 / 1.73 * 5.6 / 1.4
+    np.testing.assert_allclose(widths(slow), np.array([factor] * 4 + [1.0]) * [5.0, 10.0, 8.0, 5.0, 50.0])
+
+
 def test_stray_light_is_a_part_of_the_light_of_a_laboratory(model):
     """Three percent of a lamp: by a width in radiance alone a sphere ten times as bright had a room of a thirtieth of that."""
     lights = {name: Light(name, Spectrum.flat(level)) for name, level in (("dim", 0.001), ("bright", 0.01), ("unused", 1.0))}
