@@ -94,8 +94,9 @@ def shoot(
     model = model.sampled_as(plan.sensor)
     check_plan(model, plan)
     values = values or {}
-    camera = camera_with(model, plan, values)
+    cameras = cameras_of(model, plan, values)
     for shot in plan.shots:
+        camera = cameras[shot.name]
         setup = after_shot_before(shot_setup(plan, shot, values), camera, plan, values)
         setup = frame_patches(plan, shot, setup, seed) if draw else setup
         mean_electrons(camera, setup, progress=rendering)
@@ -117,7 +118,7 @@ def shoot_one(
     model = model.sampled_as(plan.sensor)
     check_plan(model, plan)
     values, shot = values or {}, plan.shots[number]
-    camera = camera_with(model, plan, values)
+    camera = camera_with(model, plan, values, shot)
     factors = frame_levels(plan, shot, seed) if draw else None
     setup = after_shot_before(shot_setup(plan, shot, values), camera, plan, values)
     setup = frame_patches(plan, shot, setup, seed) if draw else setup
@@ -161,14 +162,30 @@ def check_plan(model: CameraModel, plan: Campaign) -> None:
             )
 
 
-def camera_with(model: CameraModel, plan: Campaign, values: Mapping[str, float]) -> CameraModel:
-    """The model with the campaign's camera tolerances (nuisances ``effect.parameter``) applied.
+def camera_with(model: CameraModel, plan: Campaign, values: Mapping[str, float], shot: Shot) -> CameraModel:
+    """The model with the campaign's camera tolerances (nuisances ``effect.parameter``) applied, as one shot has them.
 
-    A tolerance ends where the parameter does: no dark current is negative, however little of it a model states.
+    A sensor that is warmer in one session has another dark current in it.  A tolerance ends where the parameter does: no dark
+    current is negative, however little of it a model states.
     """
-    moved = [p for p in plan.unknowns() if p.owner and p.label in values] if values else []
-    changes = {p.key: float(np.clip(model.value(p.key) + values[p.label], *model.bounds(p.key))) for p in moved}
+    moved: dict[str, float] = {}
+    for p in plan.tolerances_of(shot) if values else ():
+        if p.label in values:
+            moved[p.key] = moved.get(p.key, 0.0) + values[p.label]
+    changes = {key: float(np.clip(model.value(key) + way, *model.bounds(key))) for key, way in moved.items()}
     return model.with_values(changes) if changes else model
+
+
+def cameras_of(model: CameraModel, plan: Campaign, values: Mapping[str, float]) -> dict[str, CameraModel]:
+    """The camera of each shot of a plan by name (`camera_with`), one object for all that share its tolerances."""
+    made: dict[tuple[str, ...], CameraModel] = {}
+    out = {}
+    for shot in plan.shots:
+        shared = tuple(p.label for p in plan.tolerances_of(shot))
+        if shared not in made:
+            made[shared] = camera_with(model, plan, values, shot)
+        out[shot.name] = made[shared]
+    return out
 
 
 def shot_setup(plan: Campaign, shot: Shot, values: Mapping[str, float]) -> ShotSetup:

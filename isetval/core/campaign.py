@@ -146,15 +146,17 @@ class Nuisance:
 
     @property
     def of_camera(self) -> bool:
-        """Whether it is a tolerance of a camera parameter, which all shots share."""
+        """Whether it is a tolerance of a camera parameter, which all shots of a scope share, dark or lit."""
         return "." in self.parameter
 
     def unknown(self, shot: Shot | None = None) -> Parameter:
-        """The value that ``shot`` shares with others (a tolerance of the camera: with all)."""
+        """The value that ``shot`` shares with others of its scope (no shot: with all)."""
         owner, name = split_key(self.parameter)
-        if self.of_camera or shot is None:
+        if shot is None:
             return Parameter(name, owner, self.scope, unit=self.unit, prior=self.sigma, step=self.sigma)
         shared = {"campaign": "", "measurement session": shot.measurement_session, "set-up": shot.setup, "frame": shot.name}
+        if self.of_camera:
+            return Parameter(name, owner, self.scope, shared[self.scope], unit=self.unit, prior=self.sigma, step=self.sigma)
         kind = SHOT_NUISANCES[self.parameter]
         return Parameter(
             name,
@@ -335,8 +337,7 @@ class Campaign:
         for prior in self.nuisances:
             if prior.marginalised:
                 continue
-            shots: tuple[Shot | None, ...] = (None,) if prior.of_camera else tuple(s for s in self.shots if prior.applies_to(s))
-            for shot in shots:
+            for shot in self.shots if prior.of_camera else (s for s in self.shots if prior.applies_to(s)):
                 out |= {parameter.label: parameter for parameter in prior.unknowns_of(shot)}
         return tuple(out.values())
 
@@ -350,6 +351,10 @@ class Campaign:
             ]
             self._of_shots[shot.name] = tuple((p.name, p.label) for prior in acting for p in prior.unknowns_of(shot))
         return self._of_shots[shot.name]
+
+    def tolerances_of(self, shot: Shot) -> tuple[Parameter, ...]:
+        """The camera's parameters that are not known exactly, as a shot shares them with others of its session or set-up."""
+        return tuple(prior.unknown(shot) for prior in self.nuisances if prior.of_camera)
 
     @cached_property
     def _of_shots(self) -> dict[str, tuple[tuple[str, str], ...]]:

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from isetval.camera.chain import ShotSetup
 from isetval.camera.model import CameraModel
-from isetval.camera.shooting import after_shot_before, camera_with, shot_setup
+from isetval.camera.shooting import after_shot_before, cameras_of, shot_setup
 from isetval.core.cache import content_hash
 from isetval.core.campaign import Campaign, Shot
 from isetval.core.context import Mode
@@ -28,7 +28,7 @@ from isetval.core.scene import RenderedTarget
 from isetval.core.sensor import Roi
 from isetval.loop.base import Base, averaged, gathered, scattered
 from isetval.loop.block_factor import of_blocks, scaled
-from isetval.loop.difference_frames import DifferenceFrames
+from isetval.loop.difference_frames import DifferenceFrames, Way
 from isetval.loop.frame_light import stated_flicker
 from isetval.loop.given_side import in_large_pixels, is_noisy, measured_only, with_stated_covariance, with_systematic
 from isetval.loop.looked_at import looked_at
@@ -183,14 +183,15 @@ class Predictor:
 
     def parts(self, point: Point, seed: int, *, derivative: bool) -> list[ShotPart]:
         """The shots of a point, each with its choices."""
-        camera = camera_with(point.model, self.plan, point.values)
-        halves, setups = Halves.of(camera), self._set_up(point.values, camera, derivative)
-        place = (camera, halves, point.values)
-        return [self._part(place, shot, setups[shot.name], seed, derivative) for shot in self.shots]
+        cameras, setups = cameras_of(point.model, self.plan, point.values), self._set_up(point, derivative)
+        halves = {id(camera): Halves.of(camera) for camera in cameras.values()}
+        places = {name: (camera, halves[id(camera)], point.values) for name, camera in cameras.items()}
+        return [self._part(places[shot.name], shot, setups[shot.name], seed, derivative) for shot in self.shots]
 
-    def _set_up(self, values: Mapping[str, float], camera: CameraModel, derivative: bool) -> dict[str, ShotSetup]:
+    def _set_up(self, point: Point, derivative: bool) -> dict[str, ShotSetup]:
         """Every shot by name as the values of nuisances set it up, with the regions that are looked at."""
-        return {shot.name: self._as_asked(shot_setup(self.plan, shot, values), camera, derivative) for shot in self.shots}
+        made = {shot.name: shot_setup(self.plan, shot, point.values) for shot in self.shots}
+        return {name: self._as_asked(setup, point.model, derivative) for name, setup in made.items()}
 
     def _as_asked(self, setup: ShotSetup, camera: CameraModel, derivative: bool) -> ShotSetup:
         shot = setup.shot
@@ -250,14 +251,14 @@ class Predictor:
         """
         shots = [shot for shot in self.shots if not (of_noise and self.differences[shot.name].one_frame)]
         shots = [shot for shot in shots if only is None or shot.name in only]
-        cameras = [camera_with(point.model, self.plan, point.values) for point in points]
-        signs = [self._signs(camera) for camera in cameras]
+        cameras = [cameras_of(point.model, self.plan, point.values) for point in points]
+        signs = [self._signs(point.model) for point in points]
         seeded = [(shot, seed) for shot in shots for seed in seeds[: self.differences[shot.name].draws]]
         draws = [[(shot, seed, sign) for shot, seed in seeded for sign in own] for own in signs]
         # most points share their values: what these set up is made and hashed once
         places = {id(point.values): point for point in points}
-        setups = {key: self._set_up(point.values, point.model, True) for key, point in places.items()}
-        ways = [self._frames.ways(camera, shots) for camera in cameras]
+        setups = {key: self._set_up(point, True) for key, point in places.items()}
+        ways = [self._ways(own, shots) for own in cameras]
         tasks = [
             self._part(
                 (way.camera, way.halves, point.values), shot, setups[id(point.values)][shot.name], seed, True, sign, way.rounded
@@ -278,6 +279,16 @@ class Predictor:
                     total[self.rows[shot.name]] += way.share * next(results) / count[shot.name]
             total[self._scatters] = np.cbrt(total[self._scatters])
             out.append(total)
+        return out
+
+    def _ways(self, cameras: Mapping[str, CameraModel], shots: Sequence[Shot]) -> dict[str, list[Way]]:
+        """How a difference of each shot is taken, by name, each with its own camera."""
+        sharing: dict[int, list[Shot]] = {}
+        for shot in shots:
+            sharing.setdefault(id(cameras[shot.name]), []).append(shot)
+        out: dict[str, list[Way]] = {}
+        for own in sharing.values():
+            out |= self._frames.ways(cameras[own[0].name], own)
         return out
 
     def _signs(self, camera: CameraModel) -> list[frozenset[str]]:

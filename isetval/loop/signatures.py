@@ -53,7 +53,12 @@ def as_tolerances_do(problem: Problem, signature: Signature, free: Sequence[Para
     Two finite differences of a black level are parallel to a percent, and darks know it to less: a tight tolerance of it, many
     of its sigmas off, would not give way to the effect.
     """
-    own = {f.key: problem.columns[f.label].slope for f in free if f.owner and f.is_nuisance and f.label in problem.columns}
+    own: dict[str, Float] = {}
+    for f in free:
+        if (
+            f.owner and f.is_nuisance and f.label in problem.columns
+        ):  # one in each session, which together are the camera's number
+            own[f.key] = own.get(f.key, 0.0) + problem.columns[f.label].slope
     columns = signature.columns.copy()
     for k, key in enumerate(signature.candidate.keys):
         if key in own:

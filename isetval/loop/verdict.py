@@ -253,7 +253,8 @@ def _of_camera(case: Investigation, key: str, found: tuple[float, float]) -> tup
     campaign shares is the camera's own, and part of the number.
     """
     value, sigma = found
-    by_session = [f.prior or 0.0 for f in case.problem.plan.unknowns() if f.owner and f.key == key and f.scope != OF_CAMERA]
+    tolerances = [f for f in case.problem.plan.unknowns() if f.owner and f.key == key and f.scope != OF_CAMERA]
+    by_session = {f.scope: f.prior or 0.0 for f in tolerances}.values()
     return value, math.hypot(sigma, *by_session)
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 import isetval
-from isetval.camera.shooting import camera_with
+from isetval.camera.shooting import camera_with, cameras_of
 from isetval.core.campaign import Campaign, Nuisance, Shot
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
@@ -143,7 +143,42 @@ def test_a_tolerance_beyond_the_bound_of_its_parameter_gives_the_bound():
     nominal = isetval.load_model(data_folder() / "pixel4a")
     shot = Shot("d", "dark", exposure=isetval.Exposure(0.01), window=(0, 0, 8, 8))
     plan = Campaign("bounds", (shot,), nuisances=(Nuisance(KEY, 1.0, "e-/s", "campaign"),), sensor=nominal.sensor)
-    assert camera_with(nominal, plan, {LABEL: -0.3}).value(KEY) == 0.0
-    assert camera_with(nominal, plan, {LABEL: 0.3}).value(KEY) == pytest.approx(nominal.value(KEY) + 0.3)
+    assert camera_with(nominal, plan, {LABEL: -0.3}, shot).value(KEY) == 0.0
+    assert camera_with(nominal, plan, {LABEL: 0.3}, shot).value(KEY) == pytest.approx(nominal.value(KEY) + 0.3)
     simulated = isetval.simulate(nominal, plan, seed=1, values={LABEL: -0.3})
     assert len(simulated.shots) == 1
+
+
+@pytest.fixture
+def two_days():
+    """A phone's darks of two sessions, and the laboratory's words that the sensor is not as warm on both days."""
+    nominal = isetval.load_model(data_folder() / "pixel4a")
+    prior = Nuisance(KEY, 0.1, "e-/s", "measurement session")
+    times = {"short": 0.1, "long": 4.0}
+    shots = tuple(
+        Shot(f"{s}_{name}", "dark", measurement_session=s, exposure=isetval.Exposure(t), window=(0, 0, 48, 48), frames=4)
+        for s in "AB"
+        for name, t in times.items()
+    )
+    return nominal, Campaign("days", shots, nuisances=(prior,), sensor=nominal.sensor)
+
+
+def test_a_tolerance_of_a_session_is_one_number_in_each(two_days):
+    nominal, plan = two_days
+    assert [p.label for p in plan.unknowns()] == [f"{KEY}@measurement session:{s}" for s in "AB"]
+    values = {f"{KEY}@measurement session:A": 0.3, f"{KEY}@measurement session:B": -0.1}
+    cameras = cameras_of(nominal, plan, values)
+    rates = {name: camera.value(KEY) - nominal.value(KEY) for name, camera in cameras.items()}
+    assert rates == pytest.approx({"A_short": 0.3, "A_long": 0.3, "B_short": -0.1, "B_long": -0.1})
+    assert cameras["A_short"] is cameras["A_long"]
+
+
+def test_a_right_camera_agrees_on_two_days_that_are_not_as_warm(two_days):
+    """One dark current for both days, +.7 and -.7 of the tolerance, was a mean-square z of 45 of the means of darks."""
+    nominal, plan = two_days
+    values = {f"{KEY}@measurement session:A": 0.06, f"{KEY}@measurement session:B": -0.06}
+    found = isetval.compare(nominal, isetval.simulate(nominal, plan, seed=3, values=values))
+    (means,) = (row for row in found.ladder if row.family == "dark_mean")
+    assert means.mean_square_z < 2.5  # 16 rows, 2 unknowns; the days are 16 sigmas of a long dark's mean apart
+    fitted = {label: value for label, (value, _) in found.nuisances[nominal.name].items()}
+    assert fitted == pytest.approx(values, abs=0.03)
