@@ -19,7 +19,8 @@ Made by `python analyses/catalogue_page.py` from the classes of `isetval/effects
 
 Every effect is one step on the way of the light: it acts on a signal and gives one. With every parameter at *no effect* it
 changes nothing. *Plausible scale* is the width of its prior in a diagnosis. Parameters marked *shape* have no meaning where the
-effect is absent; those with a scale are fitted once the effect is named. Most effects have, beside their own form, *any smooth
+effect is absent; of those with a scale it is asked once the effect is named: they are fitted where the data ask for it, else what
+the data leave open of them is in the error of its strength. Most effects have, beside their own form, *any smooth
 one along* an axis: the effect times 1 + f, f a spline under a smoothness prior (`isetval/effects/free_form.py`). A diagnosis
 says "form of" such an effect where its own form does not do, and draws the curve; in a model file the curve is `free_1`,
 `free_2`, ...

@@ -25,12 +25,13 @@ def _mosaic(signal: Signal, context: Context) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class InterpixelCapacitance(Effect):
-    """Coupled sense nodes: a part of each pixel's voltage is seen on its four neighbors.
+    """Coupled sense nodes: a part of each pixel's voltage is seen on its neighbors.
 
     Blurs the picture and the noise alike: variance falls and nearest neighbors are positively correlated, both in
     proportion to the level (brighter_fatter: to its square), and edges lose contrast as with charge_diffusion, which leaves
     the noise white.  Not in CCDs nor in sensors whose charge is converted at one shared node (many small CMOS pixels):
-    there neighbors share charge, not voltage.  Behind full_well, in front of the read noise.
+    there neighbors share charge, not voltage.  Behind full_well, in front of the read noise.  Wires that run along rows or columns
+    couple one pair of neighbors more than the other (``aspect``), and diagonal ones a little (``diagonal``).
     """
 
     name = "interpixel_capacitance"
@@ -45,19 +46,31 @@ class InterpixelCapacitance(Effect):
         "conversion_gain",
     )
     halo_px = 1
-    equation = "N + alpha sum_nb (N_nb - N): Var = mu ((1 - 4 alpha)^2 + 4 alpha^2), Cov(nearest) = 2 alpha (1 - 4 alpha) mu"
-    reference = "Moore, Ninkov & Forrest, Proc. SPIE 5167 (2004) 204 (interpixel capacitance)"
+    equation = (
+        "N + alpha sum_nb w (N_nb - N), w = 1 + a along rows, 1 - a along columns, q of the diagonals: with a = q = 0 "
+        "Var = mu ((1 - 4 alpha)^2 + 4 alpha^2), Cov(nearest) = 2 alpha (1 - 4 alpha) mu"
+    )
+    reference = (
+        "Moore, Ninkov & Forrest, Proc. SPIE 5167 (2004) 204 (interpixel capacitance); Kannawadi et al., PASP 128 (2016) 095001 "
+        "(unequal rows, columns and diagonals)"
+    )
 
     alpha: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.005, doc="part alpha of a pixel seen on each neighbor")
+    aspect: float = parameter(0.0, unit="1", low=-1.0, high=1.0, tau=0.3, shape=True, doc="a: more along rows, less along columns")
+    diagonal: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.1, shape=True, doc="weight q of a diagonal neighbor")
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Share with the four neighbors; across the window's border stands the mirrored pixel, which has the neighbor's color."""
+        """Share with the neighbors; across the window's border stands the mirrored pixel, which has the neighbor's color."""
         if not self.alpha:
             return signal
         charge = _mosaic(signal, context)
         wide = np.pad(charge, ((0, 0), (1, 1), (1, 1)), mode="reflect")
-        near = wide[:, :-2, 1:-1] + wide[:, 2:, 1:-1] + wide[:, 1:-1, :-2] + wide[:, 1:-1, 2:]
-        return signal.with_values(charge + self.alpha * (near - 4 * charge))
+        along_rows, along_columns = wide[:, 1:-1, :-2] + wide[:, 1:-1, 2:], wide[:, :-2, 1:-1] + wide[:, 2:, 1:-1]
+        near = (1 + self.aspect) * along_rows + (1 - self.aspect) * along_columns - 4 * charge
+        if self.diagonal:
+            corners = wide[:, :-2, :-2] + wide[:, :-2, 2:] + wide[:, 2:, :-2] + wide[:, 2:, 2:]
+            near = near + self.diagonal * (corners - 4 * charge)
+        return signal.with_values(charge + self.alpha * near)
 
 
 @dataclass(frozen=True, kw_only=True)

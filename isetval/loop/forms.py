@@ -205,7 +205,7 @@ def _promising(
     """
     stand = _form(found, name).parameters
     more = list({p.name: p for opened in openings for p in opened.parameters if p not in stand}.values())
-    columns = dict(zip((p.name for p in more), _columns(case, found, openings[-1], more).T, strict=True))
+    columns = dict(zip((p.name for p in more), shape_columns(case, found, openings[-1], more).T, strict=True))
     alone = weigh(linear_model(case.problem, found.fitted), ()).log_evidence
     promised: list[Promise] = []
     for opened in openings:
@@ -230,7 +230,7 @@ def _promising(
     return [promise for promise in promised[: 1 if asked else None] if promise.gain > least]
 
 
-def _columns(case: Investigation, found: Hypothesis, opened: Candidate, more: Sequence[ParameterInfo]) -> Float:
+def shape_columns(case: Investigation, found: Hypothesis, opened: Candidate, more: Sequence[ParameterInfo]) -> Float:
     """Whitened derivatives (kept rows, parameters) of further parameters of an effect, where a fit ended."""
     point, klass = found.fitted.point, opened.klass
     standing = point.model.effect(klass)

@@ -23,6 +23,7 @@ from isetval.loop.posterior import UNKNOWN, Names, Posterior
 from isetval.loop.prepared import Prepared
 from isetval.loop.result import CandidateRow, Diagnosis, NamedEffect, NamedParameter
 from isetval.loop.score_test import cosine
+from isetval.loop.shape_errors import with_shapes
 from isetval.loop.signatures import Signature
 from isetval.loop.telling import Deadline
 from isetval.loop.unknown import pulled
@@ -55,7 +56,7 @@ def account_of(
     nominal = prepared.model
     say("weighing what is left over")
     beside, like = with_unknown(case), likenesses(case)
-    stated = _stated(case, gate, like, beside)
+    stated = with_shapes(case, _stated(case, gate, like, beside))
     words = [*_words_left(case, beside), *against_priors(case), *unconfirmed(case.standing.names, beside.table)]
     words += _beyond(case.standing.names, beside.table) if cut else []
     confirm = {} if held is None else _confirm(held, _models(nominal, stated))
