@@ -56,7 +56,9 @@ class InterpixelCapacitance(Effect):
     )
 
     alpha: float = parameter(0.0, unit="1", low=0.0, high=0.2, tau=0.005, doc="part alpha of a pixel seen on each neighbor")
-    aspect: float = parameter(0.0, unit="1", low=-1.0, high=1.0, tau=0.3, shape=True, doc="a: more along rows, less along columns")
+    aspect: float = parameter(
+        0.0, unit="1", low=-1.0, high=1.0, tau=0.3, shape=True, doc="a: more along rows, less along columns"
+    )
     diagonal: float = parameter(0.0, unit="1", low=0.0, high=1.0, tau=0.1, shape=True, doc="weight q of a diagonal neighbor")
 
     def apply(self, signal: Signal, context: Context) -> Signal:

@@ -32,8 +32,19 @@ def test_coupled_pixels_share_variance_as_the_kernel_says(place):
         assert np.mean(pair[0] * pair[1]) / MEAN == pytest.approx(2 * alpha * (1 - 4 * alpha), abs=5 * sigma)
 
 
+def test_the_coupling_may_be_uneven(place):
+    """A single charge is seen on its neighbors by their weights, and none of it is lost."""
+    charge = np.zeros((5, 5))
+    charge[2, 2] = 1000.0
+    out = through(InterpixelCapacitance(alpha=0.01, aspect=0.5, diagonal=0.2), charge, place)
+    expected = [[2.0, 5.0, 2.0], [15.0, 952.0, 15.0], [2.0, 5.0, 2.0]]
+    np.testing.assert_allclose(out[1:4, 1:4], expected, atol=1e-9)
+    assert out.sum() == pytest.approx(1000.0)
+
+
 EFFECTS = [
     (InterpixelCapacitance(alpha=0.015), "electron"),
+    (InterpixelCapacitance(alpha=0.015, aspect=-0.4, diagonal=0.1), "electron"),
     (BrighterFatter(a_per_e=2e-6), "electron"),
     (AmplifierCrosstalk(share=0.02, lag_px=1.0), "dn"),
     (AmplifierCrosstalk(share=0.02, lag_px=2.0), "dn"),
