@@ -34,7 +34,7 @@ AIM = 20.0  # sigmas at which s is measured, where practice lies outside: near t
 AS_THE_POWER = 1.7  # ratio to the law within which twice the strength shows: metrics bend; one power more or less would be 2
 TOO_STRONG = 20.0  # times the size in practice: beyond it the effect is another one than what practice meets
 TRIED_AT = (5.0, 8.0, 10.0)  # sigmas at which a law is tried, which roundings may end: what trials hide, and the half of `AIM`
-SURE = 2.0  # standard deviations beyond which a law is denied
+SURE = 3.0  # standard deviations beyond which a law is denied: of the 160 that are tried together 2 would deny several by chance
 NO_LAW = "fewer codes or places change than it takes"
 ROUNDS = 4
 

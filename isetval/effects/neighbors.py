@@ -30,8 +30,8 @@ class InterpixelCapacitance(Effect):
     Blurs the picture and the noise alike: variance falls and nearest neighbors are positively correlated, both in
     proportion to the level (brighter_fatter: to its square), and edges lose contrast as with charge_diffusion, which leaves
     the noise white.  Not in CCDs nor in sensors whose charge is converted at one shared node (many small CMOS pixels):
-    there neighbors share charge, not voltage.  Behind full_well, in front of the read noise.  Wires that run along rows or columns
-    couple one pair of neighbors more than the other (``aspect``), and diagonal ones a little (``diagonal``).
+    there neighbors share charge, not voltage.  Behind full_well, in front of the read noise.  Wires along rows or columns couple
+    one pair of neighbors more than the other (``aspect``), and diagonal ones a little (``diagonal``).
     """
 
     name = "interpixel_capacitance"
