@@ -22,7 +22,7 @@ from isetval.core.context import TILE_ROWS, Context, Mode
 from isetval.core.effect import Effect
 from isetval.core.errors import InputError
 from isetval.core.scene import ChartTarget, RenderedTarget, Scene
-from isetval.core.sensor import Roi, Sensor
+from isetval.core.sensor import Roi, Sensor, Window
 from isetval.core.signal import Signal
 from isetval.scenes.planar import build_scene, mean_radiance, planar_radiance
 from isetval.scenes.rendered.accumulation import DRAWS
@@ -72,15 +72,15 @@ class ShotSetup:
     """A shot with what is known about it: its light and the values of its nuisances.
 
     ``regions`` of its window are all that will be looked at (none: all of it); elsewhere there is no light and code 0.
-    ``before_e`` is the mean charge of the frame before the first, in e-; the first of ``stands_for`` frames is left where
-    one tells their mean.
+    ``before_e`` is the charge of the frame before the first, in e-: of each pixel of the window, or of each of the 2 x 2 pixels
+    of the mosaic; the first of ``stands_for`` frames is left where one tells their mean.
     """
 
     shot: Shot
     light: Light | None = None
     nuisance: Mapping[str, float] = field(default_factory=dict)
     regions: tuple[Roi, ...] = ()
-    before_e: float = 0.0
+    before_e: Float | float = 0.0
     stands_for: int = 1
 
     def digest(self) -> str:
@@ -90,6 +90,19 @@ class ShotSetup:
     def of_one_frame(self) -> ShotSetup:
         """The same with one frame."""
         return self if self.shot.frames == 1 else replace(self, shot=self.shot.of_one_frame, stands_for=self.shot.frames)
+
+    def charge_before(self, roi: Roi) -> Float:
+        """``before_e`` in the pixels of a region of the window: (rows, cols), or (1, 1) where all have the same."""
+        charge, window = np.atleast_2d(self.before_e), self.shot.window or Window(0, 0, 2, 2)
+        if charge.shape == (2, 2):
+            rows, cols = np.arange(roi.row0, roi.row1) + window[0], np.arange(roi.col0, roi.col1) + window[1]
+            return np.asarray(charge[np.ix_(rows % 2, cols % 2)])
+        return charge if charge.size == 1 else charge[roi.row0 : roi.row1, roi.col0 : roi.col1]
+
+    @cached_property
+    def before_digest(self) -> str:
+        """SHA-256 of ``before_e``."""
+        return content_hash(np.asarray(self.before_e))
 
     @cached_property
     def _digest(self) -> str:

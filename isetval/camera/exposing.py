@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,6 +17,7 @@ from isetval.core.campaign import Light, Shot
 from isetval.core.capture import Capture, ExpectedFrame
 from isetval.core.context import Context, Mode, stream, word
 from isetval.core.sensor import Exposure, as_rational_time
+from isetval.effects.electrons import FullWell
 
 Float = NDArray[np.float64]
 PLASTIC = 1.324717957244746  # x^3 = x + 1
@@ -56,12 +58,14 @@ def expose(
     threads = min(2, os.cpu_count() or 1) if max(part.size for part in lit) > BIG_PX else 1
     frames = []
     stored = stored_exposure(shot.exposure)
+    well_e = min((effect.well_e for effect in model.effects if isinstance(effect, FullWell)), default=math.inf)
     row0, col0 = context.window[:2]
     for frame in range(shot.frames):
         factor = 1.0 if frame_factors is None else frame_factors[frame]
         codes = np.zeros(mean.shape, np.uint16 if rounded else np.float32)
         for roi, part in zip(parts, lit, strict=True):
-            before = np.atleast_2d((setup.before_e + (setup.stands_for - 1) * part) / setup.stands_for) if frame == 0 else part
+            before = (setup.charge_before(roi) + (setup.stands_for - 1) * part) / setup.stands_for if frame == 0 else part
+            before = np.minimum(before, well_e)
             of_frame = None if frame_normals is None else float(frame_normals[frame])
             own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian, of_frame=of_frame)
             if setup.regions:

@@ -17,6 +17,7 @@ from isetval.core.captures import MemoryCaptures
 from isetval.core.context import stream, word
 from isetval.core.errors import InputError
 from isetval.core.scene import RenderedTarget
+from isetval.core.sensor import Window
 from isetval.scenes.rendered.accumulation import Progress as RenderProgress
 
 Float = NDArray[np.float64]
@@ -206,14 +207,28 @@ def after_shot_before(
 ) -> ShotSetup:
     """The set-up with the charge of the shot before it, where an effect of the camera asks for it.
 
-    ``shot`` is the plan's where the set-up has it under another name.
+    An even light, or none, was on all of the sensor, whichever part of it was read; of pictures in another window each colour has
+    its mean.  ``shot`` is the plan's where the set-up has it under another name.
     """
     if not camera.needs_previous:
         return setup
     before = plan.before(shot or setup.shot)
     if before is None:
         return setup
-    return replace(setup, before_e=float(mean_electrons(camera, shot_setup(plan, before, values)).mean()))
+    here = shot or setup.shot
+    window = here.window
+    if before.role in ("dark", "flat") and before.given is None:
+        before = replace(before, window=window)
+    charge = mean_electrons(camera, shot_setup(plan, before, values))
+    if here.given is not None:
+        return replace(setup, before_e=float(charge.mean()))
+    return replace(setup, before_e=charge if before.window == window else _of_mosaic(charge, before.window))
+
+
+def _of_mosaic(charge: Float, window: Window | None) -> Float:
+    """Mean of each of the 2 x 2 pixels of the sensor's mosaic, (2, 2)."""
+    row0, col0 = (window or (0, 0))[:2]
+    return np.array([[charge[(r - row0) % 2 :: 2, (c - col0) % 2 :: 2].mean() for c in (0, 1)] for r in (0, 1)])
 
 
 def time_in_session(plan: Campaign, shot: Shot) -> float:

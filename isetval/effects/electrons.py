@@ -150,7 +150,8 @@ class PdafPixels(Effect):
 class Lag(Effect):
     """Charge left from the previous frame: a dark straight after a flat is lifted.
 
-    The first frame of a shot follows the last of the shot before it: shots are taken in the order of the campaign.
+    The first frame of a shot follows the last of the shot before it: shots are taken in the order of the campaign.  The previous
+    frame is known by its mean, in each pixel, and no well left a part of more than it holds (full_well).
     """
 
     name = "lag"

@@ -100,7 +100,7 @@ class ShotPart:
     @property
     def _rest(self) -> str:
         shot = self.setup.shot
-        frames = (shot.frames, self.setup.stands_for, self.setup.before_e)
+        frames = (shot.frames, self.setup.stands_for, self.setup.before_digest)
         turned = sorted(self.mirrored)
         return repr(
             (self.halves.rest, shot.name, *frames, self.seed, self.mode, self.rounded, self.chosen, self.flicker, *turned)

@@ -142,11 +142,14 @@ def test_lag_takes_over_the_charge_of_the_shot_before(plan):
 
     nominal = nominal_camera(MODEL)
     camera = specimen_of(nominal, 3, {"lag": {"fraction": 0.01}})
-    read, before = read_plan(plan.parent, nominal), 0.0
+    nothing = specimen_of(nominal, 3, {})
+    read, last, taken_over = read_plan(plan.parent, nominal), None, 0
     for number, planned in enumerate(read.shots):
-        codes, before = shoot(planned, camera, read.lights, 3, priors=read.priors, before_e=before)
+        codes = shoot(planned, camera, read.lights, 3, priors=read.priors, last=last)
         assert np.array_equal(shoot_shot(read, camera, number, 3), codes)
-    assert before > 0
+        taken_over += bool(np.any(codes[0] != shoot_shot(read, nothing, number, 3)[0]))
+        last = planned
+    assert taken_over > 0
 
 
 @pytest.mark.parametrize("text", ["my notes", '{"a": 1}'])

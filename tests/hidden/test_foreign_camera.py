@@ -13,7 +13,9 @@ from foreign_camera.truths import EFFECTS, FORMS, OUTSIDERS, TRIALS
 
 import isetval
 from isetval.camera.chain import ShotSetup, mean_electrons
+from isetval.camera.shooting import after_shot_before
 from isetval.effects import catalogue
+from isetval.effects.electrons import Lag
 from isetval.effects.optics_field import EtalonRipple
 from isetval.effects.pupil import CircularPupil
 from isetval.testing.foreign_camera import campaign as foreign
@@ -153,12 +155,26 @@ def test_campaign_is_read_as_written(folder, nominal):
     for name in ("A_dark0", "A_flat3", "A_field10", "A_edge_oh_p", "A_chart_side_tube"):
         shot = next(s for s in campaign.shots if s.name == name)
         own = next(p for p in planned if p.place.name == name)
-        codes, _ = foreign.shoot(own, camera, lights, 11, draw=False)
+        codes = foreign.shoot(own, camera, lights, 11, draw=False)
         read = campaign.captures[name]
         assert shot.window == own.place.window
         assert all(np.array_equal(c.mosaic, frame) for c, frame in zip(read, codes, strict=True))
         assert read[0].window == own.place.window[:2]
     assert sum(f.stat().st_size for f in folder.iterdir()) < 12.5e6
+
+
+def test_both_cameras_agree_on_what_a_shot_leaves_in_the_pixels_of_the_next(folder, nominal):
+    """A flat of another window lit those pixels as well."""
+    campaign = isetval.load_campaign(folder)
+    model = isetval.load_model(folder / "camera.toml").with_effect(Lag(fraction=0.01))
+    lights, planned = foreign.lights_of(nominal), plan.session(nominal, "A")
+    flats = [i for i in range(1, len(planned)) if planned[i - 1].place.role == "flat"]
+    moved = [i for i in flats if planned[i].place.window != planned[i - 1].place.window]
+    assert moved
+    for i in moved[:3]:
+        theirs = after_shot_before(ShotSetup(campaign.shots[i]), model, campaign, {}).before_e
+        ours = foreign._charge_of(planned[i - 1], planned[i].place, nominal, lights, 11, plan.PRIORS, False)
+        np.testing.assert_allclose(theirs, ours, rtol=8e-5)
 
 
 @pytest.mark.parametrize("lens", foreign.LENSES)
@@ -254,7 +270,8 @@ def test_each_changes_the_shots_that_show_it_and_no_others(key, nominal):
 
     def differs(name):
         frames = [
-            foreign.shoot(shots[name], c, lights, 5, draw=False, blur_chart=False, before_e=900.0)[0] for c in (camera, nothing)
+            foreign.shoot(shots[name], c, lights, 5, draw=False, blur_chart=False, last=shots["A_flat8"])
+            for c in (camera, nothing)
         ]
         return bool(np.any(frames[0] != frames[1]))
 

@@ -17,7 +17,7 @@ from .effects import apply_stage
 from .patterns import stream
 from .plan import Planned, Prior
 from .sensor import expose, specimen_of
-from .types import Camera, Chart, Codes, Edge, Float, Hidden
+from .types import Camera, Chart, Codes, Edge, Float, Hidden, Place
 
 HIDDEN = (hidden_lens, hidden_light, hidden_charge, hidden_readout, wrong_forms, outsiders)  # importing them registers effects
 # a second setting of the lens: stopped down, its pupil farther away
@@ -64,9 +64,9 @@ def shoot(
     priors: Sequence[Prior] | None = None,
     blur_chart: bool = True,
     draw: bool = True,
-    before_e: float = 0.0,
-) -> tuple[Codes, float]:
-    """The frames of one shot as codes, (frames, rows, cols) uint16, and their mean charge."""
+    last: Planned | None = None,
+) -> Codes:
+    """The frames of one shot as codes, (frames, rows, cols) uint16; ``last`` is the shot before it."""
     priors = plan.PRIORS if priors is None else priors
     unknown = draw_unknowns(planned, seed, priors) if draw else {}
     place = replace(planned.place, unknown=unknown)
@@ -75,14 +75,26 @@ def shoot(
     rng = stream(seed, "frames", place.name)
     own = stream(seed, "hidden", place.name)
     ripple = sum(p.sigma**2 for p in priors if p.scope == "frame" and place.role in p.roles) ** 0.5 if draw else 0.0
+    before = 0.0 if last is None or "lag" not in camera.hidden else _charge_of(last, place, camera, lights, seed, priors, draw)
     frames = []
     for frame in range(planned.frames):
-        here = replace(place, frame=frame, before_e=mean if frame else before_e)
+        here = replace(place, frame=frame, before_e=mean if frame else before)
         factor = (
             apply_stage("frame_light", 1 + ripple * rng.standard_normal(), camera, here, own) if place.role != "dark" else 1.0
         )
         frames.append(expose(warmer, mean * factor, here, rng))
-    return np.array(frames), float(mean.mean())
+    return np.array(frames)
+
+
+def _charge_of(
+    last: Planned, place: Place, camera: Camera, lights: Mapping[str, Float], seed: int, priors: Sequence[Prior], draw: bool
+) -> Any:
+    """What the shot ``last`` left in the pixels of a place: the light reached all of them, whichever were read."""
+    even = last.place.role in ("dark", "flat")
+    here = replace(last.place, unknown=draw_unknowns(last, seed, priors) if draw else {})
+    here = replace(here, window=place.window) if even else here
+    charge = scene.mean_electrons(camera, here, lights, blur_chart=False)
+    return charge if here.window == place.window else float(charge.mean())
 
 
 def write_campaign(
@@ -128,13 +140,12 @@ def write_campaign(
     nominal = nominal_camera(folder / "camera.toml")
     priors, lights = plan.priors(kind), lights_of(nominal)
     shots = [planned for name in sessions for planned in plan.session(nominal, name, kind)]
-    before = 0.0
+    last = None
     for planned in shots:
         other = 500_000 if other_specimen and planned.session != sessions[0] else 0
         camera = specimen_of(nominal, seed + other, hidden)
-        codes, before = shoot(
-            planned, camera, lights, seed, priors=priors, blur_chart=blur_chart, draw=draw, before_e=before
-        )  # fmt: skip
+        codes = shoot(planned, camera, lights, seed, priors=priors, blur_chart=blur_chart, draw=draw, last=last)
+        last = planned
         write_frames(folder, planned, codes, nominal)
     _write_spectra(folder, nominal)
     (folder / "campaign.toml").write_text(_toml(shots, priors), encoding="utf-8")

@@ -63,8 +63,8 @@ def hot_pixels(charge: Float, camera: Camera, place: Place, rng: Generator, *, f
 
 @at("mean_charge", "lag")
 def lag(charge: Float, camera: Camera, place: Place, rng: Generator, *, fraction: float) -> Float:
-    """Charge stays behind at the transfer gate and comes with the next frame."""
-    return np.asarray(charge + fraction * place.before_e)
+    """Of what a well held, no more than it holds, a part stays behind at the transfer gate and comes with the next frame."""
+    return np.asarray(charge + fraction * np.minimum(place.before_e, camera.well_e))
 
 
 @at("collect", "brighter_fatter")

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import spectra
-from .campaign import draw_unknowns, shoot
+from .campaign import shoot
 from .plan import Planned, Prior
-from .scene import mean_electrons
 from .types import Camera, Chart, Codes, Curve, Edge, Float, Place
 
 # what a laboratory does that this camera cannot: shots that say so are refused
@@ -59,12 +58,8 @@ def shoot_shot(plan: Plan, camera: Camera, number: int, seed: int) -> Codes:
 
     Of the shot before only the charge counts that lag takes over, which needs none of its frames.
     """
-    before = 0.0
-    if number and "lag" in camera.hidden:
-        last = plan.shots[number - 1]
-        place = replace(last.place, unknown=draw_unknowns(last, seed, plan.priors))
-        before = float(mean_electrons(camera, place, plan.lights).mean())
-    return shoot(plan.shots[number], camera, plan.lights, seed, priors=plan.priors, before_e=before)[0]
+    last = plan.shots[number - 1] if number else None
+    return shoot(plan.shots[number], camera, plan.lights, seed, priors=plan.priors, last=last)
 
 
 def roles_seen(plan: Plan) -> set[str]:
