@@ -282,15 +282,14 @@ class Predictor:
         return out
 
     def _draws(self, shot: Shot, seeds: Sequence[int]) -> Sequence[int]:
-        """Seeds that a difference of a shot is the mean over: of a dark, in place of one, as many as specimens are drawn.
+        """Seeds that a difference of a shot is the mean over: of a dark in a fit, in place of one, as many as specimens are drawn.
 
         Codes of darks turn one by one: where the noise is a third of a code, what a dark current 1.5 of its tolerance off makes
         of row noise and rises was noise of 4 sigmas in one draw, and told as something unknown.  A dark costs a tenth of a flat.
         """
         draws = self.differences[shot.name].draws
-        if shot.role == "dark" and len(seeds) == 1:
-            return range(seeds[0], seeds[0] + draws)
-        return seeds[:draws]
+        several = shot.role == "dark" and tuple(seeds) == DERIVATIVE_SEEDS
+        return (SPECIMEN_SEEDS if several else seeds)[:draws]
 
     def _ways(self, cameras: Mapping[str, CameraModel], shots: Sequence[Shot]) -> dict[str, list[Way]]:
         """How a difference of each shot is taken, by name, each with its own camera."""

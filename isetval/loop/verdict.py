@@ -14,7 +14,7 @@ from isetval.camera.model import CameraModel
 from isetval.loop.candidates import Doubt
 from isetval.loop.comparison import captures_of, ladder_rows
 from isetval.loop.evidence import least_chi2
-from isetval.loop.form_curve import curve_of
+from isetval.loop.form_curve import change_of_amplitude, curve_of
 from isetval.loop.forms import other_forms
 from isetval.loop.investigation import Investigation, named_model
 from isetval.loop.likeness import Likeness, chance_of, likenesses, nominal_signatures
@@ -222,8 +222,10 @@ def _model_with(case: Investigation, like: Mapping[str, Likeness], beside: Besid
             for p, key, nominal in zip(candidate.parameters, candidate.keys, candidate.nominal, strict=True)
         }
         units = {p.name: p.unit for p in candidate.effect.parameters()}
+        curved = change_of_amplitude(candidate, case.fitted)
         for name, h in candidate.held.items():
-            found = _of_camera(case, f"{candidate.klass}.{name}", (h.value, h.sigma))
+            own = (h.value, math.hypot(h.sigma, (h.value - h.nominal) * curved))
+            found = _of_camera(case, f"{candidate.klass}.{name}", own)
             parameters[name] = NamedParameter(*found, units[name], h.nominal)
         others = like[candidate.name].names
         chance, low, high = chance_of(case, candidate, like[candidate.name], beside.table)

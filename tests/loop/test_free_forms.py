@@ -1,5 +1,6 @@
 """Wrong forms of a fall-off, made by hand: the class is right, the curve is right, and there is no second name."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,13 +9,14 @@ import pytest
 import isetval
 from isetval.core.sensor import Sensor
 from isetval.core.toml import data_folder
+from isetval.effects.color import CfaAngleShift
 from isetval.effects.converter import Nonlinearity
-from isetval.effects.free_form import curve_parameters, freed, is_free
+from isetval.effects.free_form import curve_on_axis, curve_parameters, freed, is_free
 from isetval.effects.optics_field import Vignetting
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import Candidate
 from isetval.loop.curve_campaign import curve_campaign
-from isetval.loop.form_curve import curve_of
+from isetval.loop.form_curve import change_of_amplitude, curve_of
 from isetval.loop.model_update import NewValues, add_effect
 from isetval.testing.foreign_camera.campaign import write_campaign
 
@@ -114,6 +116,22 @@ def test_the_curve_of_a_response_is_over_its_level():
     curve = curve_of(candidate, fit_of(candidate, values, [0.001] * (1 + count)), sensor)
     np.testing.assert_allclose(curve.value[""], 1 - 0.03 * curve.at, rtol=1e-6)
     assert curve.to_json()["quantity"] == "factor on the light"
+
+
+def test_a_held_amplitude_is_no_better_known_than_its_curve_where_it_is_stated():
+    """A shift at the corner times 1 + f there: f of .2, known to .1, is all that is wrong with it, or the most."""
+    candidate = candidate_of(freed(CfaAngleShift(delta_nm=-6.0)))
+    curve = curve_parameters(candidate.effect)
+    candidate = replace(candidate, parameters=curve)
+    at_corner = np.array([curve_on_axis(candidate.effect.changed(**{p.name: 1.0}), np.array([1.0]))[0] for p in curve])
+    values = 0.2 * at_corner / (at_corner @ at_corner)
+    sigma = np.full(len(curve), 0.1 / np.linalg.norm(at_corner))
+    found = change_of_amplitude(candidate, fit_of(candidate, values, sigma))
+    assert found == pytest.approx(np.hypot(0.2, 0.1), rel=1e-6)
+    own = candidate_of(CfaAngleShift(delta_nm=-6.0))
+    assert change_of_amplitude(own, fit_of(own, [-6.0], [0.05])) == 0.0
+    gain = candidate_of(freed(Vignetting()))  # its curve multiplies the light that is left, not what is lost
+    assert change_of_amplitude(gain, fit_of(gain, [0.1] * 9, [0.1] * 9)) == 0.0
 
 
 @pytest.mark.parametrize("name", ["cos4", "vignetting"])

@@ -14,6 +14,7 @@ from isetval.effects import catalogue
 from isetval.loop.derivatives import jacobian, nuisance_parameters
 from isetval.loop.gaussian import scatter
 from isetval.loop.prediction import Point, Predictor
+from isetval.loop.prepared import prepare
 from isetval.loop.problem import Problem
 from isetval.loop.shot_groups import by_shot, for_differences
 from isetval.loop.shot_task import Sampled
@@ -251,6 +252,21 @@ def test_a_light_that_flickers_makes_frames_rise_as_much_as_stated(model, bright
     assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.4  # 30 independent frames' lights: 1/sqrt(60) is .13
     bare = np.sqrt(bright.base.covariance.diagonal())[rises]
     assert np.sqrt(np.mean((pulls * sigma / bare) ** 2)) > 2
+
+
+def test_differences_of_darks_in_a_fit_are_means_over_specimens(model):
+    """Of noise of a third of a code: a dark current that moves makes no row noise, and one draw of turned codes made some."""
+    quiet = model.with_values({"read_noise.sigma_e": 1.9})
+    shot = Shot("dark", "dark", exposure=Exposure(1.0), window=(0, 0, 64, 64), frames=4)
+    predictor = prepare(quiet, simulate(quiet, Campaign("p", (shot,), sensor=quiet.sensor), seed=1)).problem.predictor
+    moved = Point(quiet.with_values({"dark_current.rate_e_per_s": quiet.value("dark_current.rate_e_per_s") + 0.3}))
+    here, there = predictor.derivative_vectors([Point(quiet), moved])
+    one_here, one_there = predictor.derivative_vectors([Point(quiet), moved], (301,))
+    rows = [
+        i for i, m in enumerate(predictor.table.metrics) if m.name in ("row_noise_variance", "gradient", "fixed_row_variance")
+    ]
+    assert np.linalg.norm((there - here)[rows]) < 0.5 * np.linalg.norm((one_there - one_here)[rows])
+    assert list(predictor._draws(shot, (201,))) == [201]  # signatures of all candidates stay one draw
 
 
 def test_what_moved_is_differentiated_anew_in_the_shots_that_feel_it(model, plan):
