@@ -166,7 +166,8 @@ class Effect:
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,
     ``for_unstated_chief_ray`` that it is the form for models in which none does (no candidate beside one that does);
     ``light_by_frame`` that it changes the light of each frame as a whole by `Context.frame_normal`;
-    ``per_light`` that its field ``light`` names the one light it concerns (empty: all); ``switches_at`` names a parameter
+    ``per_light`` that its field ``light`` names the one light it concerns (empty: all), ``per_patch`` its field ``patch`` the one
+    patch of a chart; ``switches_at`` names a parameter
     that is the exposure time beyond which it acts: each gap between the exposures of a plan is a form; ``lies_at`` names the
     two that are its place in the field and the one that is its width: each window of a plan's flats is a form; ``scan`` is a
     shape that is looked for over all its values. ``forms`` are the shapes that it may have, by field, its own first: each is
@@ -194,6 +195,7 @@ class Effect:
     step_share: ClassVar[float] = 0.2
     whole_codes: ClassVar[bool] = False
     treads: ClassVar[Mapping[str, float]] = {}
+    per_patch: ClassVar[bool] = False
     needs_previous: ClassVar[bool] = False
     makes_mosaic: ClassVar[bool] = False
     must_not_change: ClassVar[tuple[str, ...]] = ()
@@ -273,7 +275,13 @@ class Effect:
     @classmethod
     def chosen(cls) -> tuple[str, ...]:
         """Names of the fields that a diagnosis chooses and does not fit."""
-        return (*cls.forms, *["light"] * cls.per_light, *[cls.switches_at] * bool(cls.switches_at), *cls.lies_at[:2])
+        return (
+            *cls.forms,
+            *["light"] * cls.per_light,
+            *["patch"] * cls.per_patch,
+            *[cls.switches_at] * bool(cls.switches_at),
+            *cls.lies_at[:2],
+        )
 
     def content(self) -> tuple[Any, ...]:
         """Everything that decides what the effect does: the key of caches."""

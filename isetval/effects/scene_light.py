@@ -257,6 +257,7 @@ class Fluorescence(Effect):
     equation = "L_patch + yield <L(lambda < 430 nm)> exp(-(lambda - peak)^2 / (2 w^2))"
     reference = "CIE 182:2007 (fluorescent samples); Gaussian emission is a convention"
     must_not_change = ("dark", "flat", "illumination", "edge")
+    per_patch = True
 
     patch: str = ""
     emission: float = parameter(0.0, unit="1", low=0.0, high=10.0, tau=0.05, doc="emitted over mean exciting radiance (yield)")

@@ -16,6 +16,7 @@ from isetval.loop.fit import far_values, focus_values
 from isetval.loop.focus_chain import moves_focus
 from isetval.loop.forms import something_left
 from isetval.loop.investigation import Investigation, named_model, weigh_neighbours
+from isetval.loop.patch_scan import best_patch
 from isetval.loop.posterior import NOTHING
 from isetval.loop.prediction import Point
 from isetval.loop.prepared import Prepared, prepare, split_sessions
@@ -181,6 +182,9 @@ def _scanned(problem: Problem, nothing: Hypothesis, frame: Frame, made: Sequence
         if min(score(frame, white).p_value for white in problem.whitened_each(own)) * len(made) < ALPHA:
             place = best_place(problem, nothing, made, klass)
             out += [] if place is None else [place]
+    for klass in dict.fromkeys(s.candidate.klass for s in made if s.candidate.effect.per_patch and not s.candidate.present):
+        patch = best_patch(problem, nothing, frame, made, klass, ALPHA / len(made))
+        out += [] if patch is None else [patch]
     return out
 
 

@@ -108,7 +108,9 @@ def _words(candidate: Candidate) -> str:
     effect = candidate.effect
     own = "as it is" if effect.free is None or not is_free(effect) else f"free along the {effect.free.axis}"
     chosen = {key: getattr(effect, key) for key in effect.chosen() if key not in effect.lies_at}
-    return ", ".join(v if isinstance(v, str) else f"{key} {v:g}" for key, v in chosen.items() if v != "") or own
+    bare = {key: isinstance(v, str) and key != "patch" for key, v in chosen.items()}
+    said = (v if bare[key] else f"{key} {v}" if isinstance(v, str) else f"{key} {v:g}" for key, v in chosen.items() if v != "")
+    return ", ".join(said) or own
 
 
 def other_forms(case: Investigation, candidate: Candidate) -> list[FormRow]:
@@ -118,7 +120,7 @@ def other_forms(case: Investigation, candidate: Candidate) -> list[FormRow]:
     """
     logs = {row.name: row.log_evidence for row in case.rows}
     free = tuple(p.name for p in candidate.parameters)
-    forms = [c for c in case.candidates if c.klass == candidate.klass and c.effect.forms]
+    forms = [c for c in case.candidates if c.klass == candidate.klass and (c.effect.forms or c.effect.per_patch)]
     forms.sort(key=lambda c: (c.name == candidate.name, logs.get(c.name) or 0.0), reverse=True)
     return [FormRow(_words(c), free, logs.get(c.name) or 0.0) for c in forms] if len(forms) > 1 else []
 

@@ -282,7 +282,7 @@ class Predictor:
         return out
 
     def _draws(self, shot: Shot, seeds: Sequence[int]) -> Sequence[int]:
-        """Seeds that a difference of a shot is the mean over: of a dark in a fit, in place of one, as many as specimens are drawn.
+        """Seeds that a difference of a shot is the mean over: of darks in fits, in place of one, as many as specimens are drawn.
 
         Codes of darks turn one by one: where the noise is a third of a code, what a dark current 1.5 of its tolerance off makes
         of row noise and rises was noise of 4 sigmas in one draw, and told as something unknown.  A dark costs a tenth of a flat.
