@@ -84,7 +84,7 @@ def changes_bits(row):
 
     def frames(hidden):
         specimen = specimen_of(nominal, seed, hidden)
-        return (shoot(p, specimen, lights, seed, priors=priors)[0] for p in session)
+        return (shoot(p, specimen, lights, seed, priors=priors) for p in session)
 
     def differs(hidden):
         return any((a != b).any() for a, b in zip(frames(hidden), frames({}), strict=True))

@@ -64,8 +64,9 @@ def expose(
         factor = 1.0 if frame_factors is None else frame_factors[frame]
         codes = np.zeros(mean.shape, np.uint16 if rounded else np.float32)
         for roi, part in zip(parts, lit, strict=True):
-            before = (setup.charge_before(roi) + (setup.stands_for - 1) * part) / setup.stands_for if frame == 0 else part
-            before = np.minimum(before, well_e)
+            held = np.minimum(part, well_e)
+            first = np.minimum(setup.charge_before(roi), well_e)
+            before = (first + (setup.stands_for - 1) * held) / setup.stands_for if frame == 0 else held
             of_frame = None if frame_normals is None else float(frame_normals[frame])
             own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian, of_frame=of_frame)
             if setup.regions:

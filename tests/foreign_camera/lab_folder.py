@@ -84,7 +84,7 @@ def write_lab(folder, nominal_folder, *, seed, places=8, hidden=None, blur_chart
         for where, place, frames in shots(session, places):
             planned = plan.Planned(place, f"{session} {where}", session, frames)
             names = []
-            for codes in campaign.shoot(planned, camera, lights, seed, blur_chart=blur_chart)[0]:
+            for codes in campaign.shoot(planned, camera, lights, seed, blur_chart=blur_chart):
                 number, now = number + 1, now + timedelta(seconds=40)
                 name = f"{where}/IMG_{number:04d}.dng"
                 (folder / where).mkdir(parents=True, exist_ok=True)

@@ -92,3 +92,14 @@ def test_a_dark_colour_among_bright_ones_keeps_its_spectrum():
     label = np.repeat(np.arange(24), 4)[None] * np.ones((4, 1), int)
     picture = SpectralPicture.of_labels(label, spectra, 0)
     np.testing.assert_allclose(picture.sample(np.ones((grid.size, 1, 1)), None, grid)[:, 0, ::4], spectra, rtol=1e-4)
+
+
+@pytest.mark.parametrize("level", [499.0, 501.0, 763.0, 5000.0, 2e5])
+def test_poisson_numbers_of_bright_pixels_of_a_dark_are_whole_and_right(level):
+    """A hot pixel of 763 e- held 1200: the first term of its sum, exp(-763), is 0."""
+    chance = np.random.default_rng(2).random(20_000)
+    mean = np.where(np.arange(chance.size) % 2, level, 2.0)
+    found, true = _inverse_poisson(chance, mean), np.maximum(poisson.ppf(chance, mean), 0)
+    assert np.abs(found - true).max() <= 1
+    assert np.mean(found != true) < 0.01
+    assert np.array_equal(found[::2], true[::2])
