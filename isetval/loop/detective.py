@@ -10,7 +10,8 @@ from typing import Any
 from isetval.camera.model import CameraModel
 from isetval.core.campaign import Campaign
 from isetval.core.errors import InputError
-from isetval.loop.candidates import Candidate, brightest_of, candidates_for, doubts_for, gaps_of, lights_of, places_of
+from isetval.loop.camera_scale import brightest_of
+from isetval.loop.candidates import Candidate, candidates_for, doubts_for, gaps_of, lights_of, places_of
 from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values, focus_values
 from isetval.loop.focus_chain import moves_focus

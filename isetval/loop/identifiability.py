@@ -14,7 +14,8 @@ from isetval.camera.shooting import simulate
 from isetval.core.campaign import Campaign
 from isetval.core.jsonable import plain
 from isetval.core.shown import Drawn
-from isetval.loop.candidates import brightest_of, candidates_for
+from isetval.loop.camera_scale import brightest_of
+from isetval.loop.candidates import candidates_for
 from isetval.loop.derivatives import nuisance_parameters
 from isetval.loop.fit import fit
 from isetval.loop.next_captures import KEEP, next_captures

@@ -11,7 +11,8 @@ from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.errors import InputError
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
-from isetval.loop.candidates import brightest_of, candidates_for, gaps_of, lights_of, places_of
+from isetval.loop.camera_scale import brightest_of
+from isetval.loop.candidates import candidates_for, gaps_of, lights_of, places_of
 
 
 def test_a_spectrum_may_be_wrong_for_one_light(model):
