@@ -282,14 +282,14 @@ class Predictor:
         return out
 
     def _draws(self, shot: Shot, seeds: Sequence[int]) -> Sequence[int]:
-        """Seeds that a difference of a shot is the mean over: of darks in fits, in place of one, as many as specimens are drawn.
+        """Seeds that a difference of a shot is the mean over: in place of one, several of darks where the camera has tolerances.
 
         Codes of darks turn one by one: where the noise is a third of a code, what a dark current 1.5 of its tolerance off makes
-        of row noise and rises was noise of 4 sigmas in one draw, and told as something unknown.  A dark costs a tenth of a flat.
+        of row noise and rises was noise of 4 sigmas in one draw, and told as something unknown.
         """
         draws = self.differences[shot.name].draws
-        several = shot.role == "dark" and tuple(seeds) == DERIVATIVE_SEEDS
-        return (SPECIMEN_SEEDS if several else seeds)[:draws]
+        several = shot.role == "dark" and tuple(seeds) == DERIVATIVE_SEEDS and self.plan.tolerances_of(shot)
+        return (NOISE_SEEDS if several else seeds)[:draws]
 
     def _ways(self, cameras: Mapping[str, CameraModel], shots: Sequence[Shot]) -> dict[str, list[Way]]:
         """How a difference of each shot is taken, by name, each with its own camera."""

@@ -258,14 +258,16 @@ def test_differences_of_darks_in_a_fit_are_means_over_specimens(model):
     """Of noise of a third of a code: a dark current that moves makes no row noise, and one draw of turned codes made some."""
     quiet = model.with_values({"read_noise.sigma_e": 1.9})
     shot = Shot("dark", "dark", exposure=Exposure(1.0), window=(0, 0, 64, 64), frames=4)
-    predictor = prepare(quiet, simulate(quiet, Campaign("p", (shot,), sensor=quiet.sensor), seed=1)).problem.predictor
+    warmth = Nuisance("dark_current.rate_e_per_s", 0.1, "e-/s", "measurement session")
+    plan = Campaign("p", (shot,), nuisances=(warmth,), sensor=quiet.sensor)
+    predictor = prepare(quiet, simulate(quiet, plan, seed=1)).problem.predictor
     moved = Point(quiet.with_values({"dark_current.rate_e_per_s": quiet.value("dark_current.rate_e_per_s") + 0.3}))
     here, there = predictor.derivative_vectors([Point(quiet), moved])
     one_here, one_there = predictor.derivative_vectors([Point(quiet), moved], (301,))
     rows = [
         i for i, m in enumerate(predictor.table.metrics) if m.name in ("row_noise_variance", "gradient", "fixed_row_variance")
     ]
-    assert np.linalg.norm((there - here)[rows]) < 0.5 * np.linalg.norm((one_there - one_here)[rows])
+    assert np.linalg.norm((there - here)[rows]) < 0.75 * np.linalg.norm((one_there - one_here)[rows])  # 1/2, of few rows
     assert list(predictor._draws(shot, (201,))) == [201]  # signatures of all candidates stay one draw
 
 
