@@ -35,7 +35,7 @@ AS_THE_POWER = 1.7  # ratio to the law within which twice the strength shows: me
 TOO_STRONG = 20.0  # times the size in practice: beyond it the effect is another one than what practice meets
 TRIED_AT = (5.0, 8.0, 10.0)  # sigmas at which a law is tried, which roundings may end: what trials hide, and the half of `AIM`
 SURE = 3.0  # standard deviations beyond which a law is denied: of the 160 that are tried together 2 would deny several by chance
-NO_LAW = "fewer codes or places change than it takes"
+NO_LAW = "fewer codes change than it takes"
 ROUNDS = 4
 
 
@@ -123,8 +123,8 @@ def s_at_one(calibration, concealed):
 def law_from(calibration, concealed, one):
     """The least of `TRIED_AT` sigmas at which s follows the power law, ``one`` being that at strength 1; inf where none does.
 
-    Whole codes that are rounded anew may all stay what they are, and places that are rounded too: of a filter hidden for 10
-    sigmas 8.9 are there, of one for 5 nothing.  0: it follows as far down as trials go.
+    Whole codes that are rounded anew may all stay what they are: a raw filter that is weak enough turns none.  0: it follows as
+    far down as trials go.
     """
     if not concealed.scaled:
         return 0.0

@@ -48,7 +48,7 @@ def _lawless(found):
     if not found.get("lawless"):
         return ""
     return (
-        "<p>Left out, since how far what is hidden stands out by is not known (fewer codes or places change than the law of its "
+        "<p>Left out, since how far what is hidden stands out by is not known (fewer codes change than the law of its "
         f"strength says): {escape(', '.join(found['lawless']))}.</p>"
     )
 

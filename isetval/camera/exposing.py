@@ -16,7 +16,7 @@ from isetval.camera.chain import Camera, ShotSetup, electronics, make_context, m
 from isetval.core.campaign import Light, Shot
 from isetval.core.capture import Capture, ExpectedFrame
 from isetval.core.context import Context, Mode, stream, word
-from isetval.core.sensor import Exposure, as_rational_time
+from isetval.core.sensor import Exposure, Roi, as_rational_time
 from isetval.effects.electrons import FullWell
 
 Float = NDArray[np.float64]
@@ -58,15 +58,14 @@ def expose(
     threads = min(2, os.cpu_count() or 1) if max(part.size for part in lit) > BIG_PX else 1
     frames = []
     stored = stored_exposure(shot.exposure)
+    lags = any(effect.needs_previous for effect in model.effects)
     well_e = min((effect.well_e for effect in model.effects if isinstance(effect, FullWell)), default=math.inf)
     row0, col0 = context.window[:2]
     for frame in range(shot.frames):
         factor = 1.0 if frame_factors is None else frame_factors[frame]
         codes = np.zeros(mean.shape, np.uint16 if rounded else np.float32)
         for roi, part in zip(parts, lit, strict=True):
-            held = np.minimum(part, well_e)
-            first = np.minimum(setup.charge_before(roi), well_e)
-            before = (first + (setup.stands_for - 1) * held) / setup.stands_for if frame == 0 else held
+            before = _charge_before(setup, frame, roi, part, well_e) if lags else None
             of_frame = None if frame_normals is None else float(frame_normals[frame])
             own = context.but(frame=frame, previous=before, poisson_gaussian=gaussian, of_frame=of_frame)
             if setup.regions:
@@ -82,6 +81,15 @@ def expose(
             codes[roi.row0 : roi.row1, roi.col0 : roi.col1] = _codes(dn) if rounded else np.clip(dn, 0, 65535)
         frames.append(_capture(model, setup, codes, seed, frame, stored))
     return tuple(frames)
+
+
+def _charge_before(setup: ShotSetup, frame: int, roi: Roi, part: Float, well_e: float) -> Float:
+    """What the frame before one left in its pixels, e-, (rows, cols) or (1, 1): ``part`` is their light, ``well_e`` all they hold."""
+    held = np.minimum(part, well_e)
+    if frame:
+        return held
+    first = np.minimum(setup.charge_before(roi), well_e)
+    return np.asarray((first + (setup.stands_for - 1) * held) / setup.stands_for)
 
 
 def code_step_dn(model: Camera) -> float:

@@ -179,10 +179,10 @@ def camera_with(model: CameraModel, plan: Campaign, values: Mapping[str, float],
 
 def cameras_of(model: CameraModel, plan: Campaign, values: Mapping[str, float]) -> dict[str, CameraModel]:
     """The camera of each shot of a plan by name (`camera_with`), one object for all that share its tolerances."""
-    made: dict[tuple[str, ...], CameraModel] = {}
+    made: dict[int, CameraModel] = {}
     out = {}
     for shot in plan.shots:
-        shared = tuple(p.label for p in plan.tolerances_of(shot))
+        shared = id(plan.tolerances_of(shot))
         if shared not in made:
             made[shared] = camera_with(model, plan, values, shot)
         out[shot.name] = made[shared]

@@ -353,8 +353,16 @@ class Campaign:
         return self._of_shots[shot.name]
 
     def tolerances_of(self, shot: Shot) -> tuple[Parameter, ...]:
-        """The camera's parameters that are not known exactly, as a shot shares them with others of its session or set-up."""
-        return tuple(prior.unknown(shot) for prior in self.nuisances if prior.of_camera)
+        """The camera's parameters that are not known exactly, as a shot shares them: one tuple for all shots that share them."""
+        if shot.name not in self._tolerances:
+            own = tuple(prior.unknown(shot) for prior in self.nuisances if prior.of_camera)
+            known = (other for other in self._tolerances.values() if other == own)
+            self._tolerances[shot.name] = next(known, own)
+        return self._tolerances[shot.name]
+
+    @cached_property
+    def _tolerances(self) -> dict[str, tuple[Parameter, ...]]:
+        return {}
 
     @cached_property
     def _of_shots(self) -> dict[str, tuple[tuple[str, str], ...]]:

@@ -281,7 +281,7 @@ def _inverse_poisson(chance: Float, mean: Float) -> Float:
 
     Pixels that are done are laid aside every `TERMS_AT_ONCE` terms: few of a dark picture are as bright as its brightest.  Of
     means above `SUMMED_UP_TO`, whose first term a double cannot hold (hot pixels, darks of minutes), it is the normal twin with
-    its skewness (Cornish and Fisher, Rev. Inst. Int. Stat. 5 (1938) 307), right to a hundredth of an electron there.
+    its skewness (Cornish and Fisher, Rev. Inst. Int. Stat. 5 (1938) 307), right to some hundredths of an electron there.
     """
     shape, chance, mean = mean.shape, chance.ravel(), np.ravel(mean).astype(np.float64)
     out = np.zeros(mean.size)

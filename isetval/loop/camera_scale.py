@@ -23,7 +23,7 @@ class Scale:
 
     A response that loses 2 % at full well, a knee at a third of it, rows that scatter by an electron: of a sensor of 60,000 e-
     these are other numbers than of one of 6,000.  What darkness collects grows with the area of a pixel, and with
-    how warm the sensor is: by the width that a phone's glow has, one that a sensor of 20 e-/s shows clearly was not observable.
+    how warm the sensor is: by the width that a phone's glow has, one that a large pixel shows clearly was not observable.
     Light of the room is a part of what laboratories work with, which differs by decades; errors of focus are met that blur by a
     pixel or so.
     """

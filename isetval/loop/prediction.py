@@ -284,8 +284,8 @@ class Predictor:
     def _draws(self, shot: Shot, seeds: Sequence[int]) -> Sequence[int]:
         """Seeds that a difference of a shot is the mean over: in place of one, several of darks where the camera has tolerances.
 
-        Codes of darks turn one by one: where the noise is a third of a code, what a dark current 1.5 of its tolerance off makes
-        of row noise and rises was noise of 4 sigmas in one draw, and told as something unknown.
+        Codes of darks turn one by one: where noise is a third of a code, what a dark current that is off by its tolerance makes of
+        row noise and rises was noise in one draw, and told as something unknown.
         """
         draws = self.differences[shot.name].draws
         several = shot.role == "dark" and tuple(seeds) == DERIVATIVE_SEEDS and self.plan.tolerances_of(shot)

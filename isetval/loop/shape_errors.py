@@ -1,8 +1,8 @@
 """How far a named effect's numbers may be off since its shape stands where the catalogue has it.
 
-Of a charge that repels charge the strength is known to .5 % if no diagonal neighbour takes a part, and to 5 % as far as data tell
-whether one does.  A shape that the data know better than its prior counts; of the others the strength is stated for the shape,
-which is a convention then.
+Of charge that repels charge the strength is known as well as variances are if no diagonal neighbour takes a part, and no better
+than whether one does.  A shape that the data know better than its prior counts; of the others, and of `Effect.further_shapes`,
+the strength is stated for the shape, which is a convention then.
 """
 
 from __future__ import annotations
@@ -44,13 +44,14 @@ def shape_errors(case: Investigation, found: Hypothesis) -> dict[str, float]:
     """
     out: dict[str, float] = {}
     for effect in found.effects:
-        if effect.shapes and any(found.is_clear(key) for key in effect.keys):
-            out |= _of_effect(case, found, effect)
+        shapes = [p for p in effect.shapes if p.name not in effect.effect.further_shapes]
+        if shapes and any(found.is_clear(key) for key in effect.keys):
+            out |= _of_effect(case, found, effect, shapes)
     return out
 
 
-def _of_effect(case: Investigation, found: Hypothesis, effect: Candidate) -> dict[str, float]:
-    shapes, columns = effect.shapes, shape_columns(case, found, effect, effect.shapes)
+def _of_effect(case: Investigation, found: Hypothesis, effect: Candidate, shapes: list[ParameterInfo]) -> dict[str, float]:
+    columns = shape_columns(case, found, effect, shapes)
     p = len(found.fitted.free)
     felt = [k for k in range(len(shapes)) if columns[:, k].any()]
     if not felt:

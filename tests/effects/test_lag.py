@@ -46,7 +46,7 @@ def dark(window, frames=1):
 
 @pytest.mark.parametrize("window", [MIDDLE, CORNER])
 def test_each_color_of_a_dark_is_lifted_by_its_own_charge_at_its_own_place(camera, window):
-    """The mean of all colors of the middle was taken for each: of a warm lamp red had a third too little."""
+    """The mean of all colors, of the window that was read, was taken for each."""
     setup, lit = left_by(camera, flat(MIDDLE), dark(window))
     frame = expose(camera, setup, mode="expected", rounded=False)[0].mosaic - 64.0
     gain = camera.value("conversion_gain.gain_dn_per_e")

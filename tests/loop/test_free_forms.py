@@ -52,7 +52,7 @@ def test_another_onset_is_fitted_and_asks_for_no_second_name(tmp_path):
     assert (found.verdict, [e.name for e in found.effects], found.leftover) == ("attributed", ["vignetting"], None)
     onset = found.effects[0].parameters["r0"]
     assert abs(onset.value - 0.65) < 3 * onset.sigma
-    assert onset.sigma < 0.02  # the power, which the curve tells too, may be another than 2
+    assert onset.sigma < 0.01
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ def test_means_do_not_move_and_variances_rise_by_the_square(model, campaign, nam
     moved = {}
     for usual in ((), (name,)):
         predictor = Predictor(campaign, table, usual=[*(e.name for e in model.effects), *usual])
-        here, there = predictor.derivative_vectors([Point(model), Point(noisier)], (201,))
+        here, there = predictor.derivative_vectors([Point(model), Point(noisier)])
         predictor.close()
         moved[bool(usual)] = np.abs(there - here)[means].max()
         if not usual:

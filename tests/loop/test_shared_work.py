@@ -139,8 +139,8 @@ def test_equal_frames_are_measured_once_and_give_what_each_alone_gives(model, pl
     counted = []
     true = shot_task.measure_across
     monkeypatch.setattr(shot_task, "measure_across", lambda asked: counted.append(len(asked)) or true(asked))
-    vectors = predictor.derivative_vectors(points, (201,))  # one draw, of darks too
-    parts = [predictor.parts(p, 201, derivative=True) for p in points]
+    vectors = predictor.derivative_vectors(points)
+    parts = [predictor.parts(p, 101, derivative=True) for p in points]
     alone = [[predictor._wanted[t.of].values(shot_task.blocks_of([t])[0]) for t in own] for own in parts]
     for vector, own in zip(vectors, alone, strict=True):
         for shot, values in zip(predictor.shots, own, strict=True):

@@ -174,7 +174,7 @@ def test_a_tolerance_of_a_session_is_one_number_in_each(two_days):
 
 
 def test_a_right_camera_agrees_on_two_days_that_are_not_as_warm(two_days):
-    """One dark current for both days, +.7 and -.7 of the tolerance, was a mean-square z of 45 of the means of darks."""
+    """One dark current was fitted to both days, of which neither had it."""
     nominal, plan = two_days
     values = {f"{KEY}@measurement session:A": 0.06, f"{KEY}@measurement session:B": -0.06}
     found = isetval.compare(nominal, isetval.simulate(nominal, plan, seed=3, values=values))

@@ -96,7 +96,7 @@ def test_a_dark_colour_among_bright_ones_keeps_its_spectrum():
 
 @pytest.mark.parametrize("level", [499.0, 501.0, 763.0, 5000.0, 2e5])
 def test_poisson_numbers_of_bright_pixels_of_a_dark_are_whole_and_right(level):
-    """A hot pixel of 763 e- held 1200: the first term of its sum, exp(-763), is 0."""
+    """The first term of the sum of a hot pixel, exp(-763), is 0: it held as much as the brightest of all can."""
     chance = np.random.default_rng(2).random(20_000)
     mean = np.where(np.arange(chance.size) % 2, level, 2.0)
     found, true = _inverse_poisson(chance, mean), np.maximum(poisson.ppf(chance, mean), 0)
