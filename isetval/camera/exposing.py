@@ -84,7 +84,7 @@ def expose(
 
 
 def _charge_before(setup: ShotSetup, frame: int, roi: Roi, part: Float, well_e: float) -> Float:
-    """What the frame before one left in its pixels, e-, (rows, cols) or (1, 1): ``part`` is their light, ``well_e`` all they hold."""
+    """What the frame before one held, e-, (rows, cols) or (1, 1): ``part`` is the light of each, ``well_e`` all that fits."""
     held = np.minimum(part, well_e)
     if frame:
         return held

@@ -282,7 +282,7 @@ class Predictor:
         return out
 
     def _draws(self, shot: Shot, seeds: Sequence[int]) -> Sequence[int]:
-        """Seeds that a difference of a shot is the mean over: in place of one, several of darks where the camera has tolerances.
+        """Seeds that a difference of a shot is the mean over: in place of one, several of darks of a camera with tolerances.
 
         Codes of darks turn one by one: where noise is a third of a code, what a dark current that is off by its tolerance makes of
         row noise and rises was noise in one draw, and told as something unknown.
