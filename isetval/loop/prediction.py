@@ -284,7 +284,7 @@ class Predictor:
     def _draws(self, shot: Shot, seeds: Sequence[int]) -> Sequence[int]:
         """Seeds that a difference of a shot is the mean over: in place of one, several of darks of a camera with tolerances.
 
-        Codes of darks turn one by one: where noise is a third of a code, what a dark current that is off by its tolerance makes of
+        Codes of darks turn one by one: where noise is a third of a code, what a dark current off by its tolerance makes of
         row noise and rises was noise in one draw, and told as something unknown.
         """
         draws = self.differences[shot.name].draws
