@@ -143,7 +143,7 @@ def _written(path: Path, data: bytes) -> bool:
     """Whether ``data`` could be written, whole or not at all; a cache that cannot be written is no error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        replace_whole(path, data)
+        replace_whole(path, data, synced=False)  # of what is not whole, the readers say that there is none
     except OSError:
         return False
     return True

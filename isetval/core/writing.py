@@ -31,8 +31,11 @@ def write_whole(path: Path | str, content: str | bytes) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists and is writable") from None
 
 
-def replace_whole(path: Path, data: bytes) -> None:
+def replace_whole(path: Path, data: bytes, *, synced: bool = True) -> None:
     """Put ``data`` in the place of a file in one step that a crash cannot halve; permissions follow the umask.
+
+    Not ``synced``, the step is whole for other processes, while a machine that loses its power may leave part of the file: for
+    what is read with a check and can be made again.  A disk takes milliseconds to say that it has written.
 
     Raises
     ------
@@ -41,12 +44,13 @@ def replace_whole(path: Path, data: bytes) -> None:
     """
     temporary = path.parent / f".{path.name[:100]}.{secrets.token_hex(6)}"
     try:
-        _write_synced(temporary, data)
+        _write_new(temporary, data, synced)
         _replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-    _sync_folder(path.parent)
+    if synced:
+        _sync_folder(path.parent)
 
 
 def _replace(temporary: Path, path: Path) -> None:
@@ -61,28 +65,32 @@ def _replace(temporary: Path, path: Path) -> None:
     os.replace(temporary, path)
 
 
-def _write_synced(path: Path, data: bytes) -> None:
-    """A new file with its bytes on the disk; on Linux it has no name before it is whole, so that a killed process leaves none."""
+def _write_new(path: Path, data: bytes, synced: bool) -> None:
+    """A new file, ``synced`` with its bytes on the disk.
+
+    On Linux it has no name before it is whole, so that a killed process leaves none.
+    """
     try:
         handle = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
     except (AttributeError, OSError):  # another system, or a file system without it; what is really wrong shows next
-        _filled(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o666), data)
+        _filled(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o666), data, synced)
         return
     with os.fdopen(handle, "wb") as file:
-        _fill(file, data)
+        _fill(file, data, synced)
         # a directory is given so that Python calls linkat, which follows the link in /proc; the path is absolute
         os.link(f"/proc/self/fd/{file.fileno()}", path, src_dir_fd=file.fileno(), follow_symlinks=True)
 
 
-def _filled(handle: int, data: bytes) -> None:
+def _filled(handle: int, data: bytes, synced: bool) -> None:
     with os.fdopen(handle, "wb") as file:
-        _fill(file, data)
+        _fill(file, data, synced)
 
 
-def _fill(file: BinaryIO, data: bytes) -> None:
+def _fill(file: BinaryIO, data: bytes, synced: bool) -> None:
     file.write(data)
     file.flush()
-    os.fsync(file.fileno())
+    if synced:
+        os.fsync(file.fileno())
 
 
 def _sync_folder(folder: Path) -> None:

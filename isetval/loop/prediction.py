@@ -184,7 +184,8 @@ class Predictor:
     def parts(self, point: Point, seed: int, *, derivative: bool) -> list[ShotPart]:
         """The shots of a point, each with its choices."""
         cameras, setups = cameras_of(point.model, self.plan, point.values), self._set_up(point, derivative)
-        halves = {id(camera): Halves.of(camera) for camera in cameras.values()}
+        each = {id(camera): camera for camera in cameras.values()}  # many shots have the same one
+        halves = {place: Halves.of(camera) for place, camera in each.items()}
         places = {name: (camera, halves[id(camera)], point.values) for name, camera in cameras.items()}
         return [self._part(places[shot.name], shot, setups[shot.name], seed, derivative) for shot in self.shots]
 
