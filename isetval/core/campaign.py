@@ -97,7 +97,7 @@ class Nuisance:
 
     ``parameter`` is one of `SHOT_NUISANCES` or ``effect.parameter`` of the camera model; ``sigma`` is
     the standard deviation around 0 (shot nuisances) or around the model's value; ``scope`` says what
-    shares one value.  ``roles``, ``lights`` and ``setups`` restrict it (empty: all).
+    shares one value.  ``roles``, ``lights`` and ``setups`` restrict one of `SHOT_NUISANCES` (empty: all).
     """
 
     parameter: str
@@ -122,6 +122,11 @@ class Nuisance:
             raise InputError(f"{where}: distribution is {self.distribution!r}; only 'normal' is known")
         if self.of_camera and self.scope == "frame":
             raise InputError(f"{where}: a camera parameter cannot have scope 'frame'; use campaign or measurement session")
+        if self.of_camera and (some := [key for key in ("roles", "lights", "setups") if getattr(self, key)]):
+            raise InputError(
+                f"{where}: {some[0]} is {list(getattr(self, some[0]))}; a camera has its parameters in every shot: leave "
+                f"{some[0]} out, scope says which shots share one value"
+            )
         if self.of_rows and self.scope != "campaign":
             raise InputError(f"{where}: scope is {self.scope!r}; it needs 'campaign': one value for all shots in a light")
         if unknown := set(self.roles) - set(ROLES):

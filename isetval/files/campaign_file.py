@@ -27,7 +27,7 @@ _KEYS = ("name", "camera", "sensor", "nuisance", "light", "target", "shot", "not
 _NUISANCE_KEYS = ("parameter", "sigma", "unit", "scope", "distribution", "roles", "lights", "setups", "notes")
 
 
-def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Campaign:
+def load_campaign(path: Path | str, *, camera: CameraModel | None = None, as_plan: bool = False) -> Campaign:
     """Read a campaign or a plan: a folder with ``campaign.toml`` or an EMVA 1288 descriptor, or one of these files itself.
 
     The DNG files are opened when their shot is measured; that they exist is checked here.
@@ -37,6 +37,8 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     path : path
     camera : CameraModel, optional
         Stands in for a camera that the file names outside its folder, which is not opened.
+    as_plan : bool
+        Without its captures, which then need not be there (those of a descriptor are asked for).
 
     Raises
     ------
@@ -61,7 +63,7 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     targets = {name: read_target(name, entry, path) for name, entry in _tables(table, "target", path).items()}
     if not isinstance(table["shot"], list) or not table["shot"]:
         raise InputError(f"{path}: there is no [[shot]]; a campaign needs at least one")
-    shots = read_shots(table["shot"], targets, path)
+    shots = read_shots(table["shot"], targets, path, files_needed=not as_plan)
     sensor = sensor or _sensor_of_files(shots, path)
     where = f"{path}: [[shot]] number"
     shots = tuple(
@@ -84,7 +86,7 @@ def load_campaign(path: Path | str, *, camera: CameraModel | None = None) -> Cam
     except InputError as error:
         raise InputError(f"{path}: {error}" if not str(error).startswith(str(path)) else str(error)) from None
     with_files = {shot.name: shot for shot in campaign.shots if shot.files}
-    if not with_files:
+    if as_plan or not with_files:
         return campaign
     read = _PlacedReader(with_files, sensor, path.parent, Counter(file for shot in campaign.shots for file in shot.files))
     files = {name: shot.files for name, shot in with_files.items()}

@@ -27,23 +27,27 @@ SHOT_KEYS = (
 )  # fmt: skip
 
 
-def read_shots(entries: Sequence[Any], targets: Mapping[str, Target], path: Path) -> tuple[Shot, ...]:
+def read_shots(
+    entries: Sequence[Any], targets: Mapping[str, Target], path: Path, *, files_needed: bool = True
+) -> tuple[Shot, ...]:
     """The shots of ``path``, each with a name of its own; windows may be open and metrics unread.
+
+    Of a plan that is simulated only, the captures are not ``files_needed``.
 
     Raises
     ------
     InputError
         For unknown keys, missing files, unknown targets, or values that make no sense, with the shot's number.
     """
-    shots = tuple(_shot(entry, f"{path}: [[shot]] number {i}", targets, path) for i, entry in enumerate(entries, 1))
+    shots = tuple(_shot(entry, f"{path}: [[shot]] number {i}", targets, path, files_needed) for i, entry in enumerate(entries, 1))
     return _found_repeats(_told_apart(shots, entries))
 
 
-def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path) -> Shot:
+def _shot(entry: Any, where: str, targets: Mapping[str, Target], path: Path, files_needed: bool) -> Shot:
     entry = check_keys(entry, where, known=SHOT_KEYS, needed=("role",))
     files = texts(entry, "files", where)
     for file in files:
-        if not inside(path.parent, file).is_file():
+        if not inside(path.parent, file).is_file() and files_needed:
             raise InputError(f"{where}: names {file}, which is not in {path.parent}; correct the name or put the file there")
     if orphan := [key for key in METRIC_KEYS if key in entry and "metrics" not in entry]:
         raise InputError(f'{where}: {orphan[0]} says how a metrics file is read, and there is none; add metrics = "file.csv"')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,7 +17,8 @@ from isetval.core.memory import give_back_freed
 
 HELD_PIXELS = 400_000_000  # 800 MB of frames: what a shot may keep in memory; longer series are decoded frame by frame
 AHEAD_PIXELS = 70_000_000  # 140 MB of frames kept for the shots to come: a worker with its maps and libraries stays below 600 MB
-AGAIN_PIXELS = 30_000_000  # 60 MB of frames beyond that were decoded last: a pair of 12 MP is looked at several times in a row
+AGAIN_PIXELS = 30_000_000  # 60 MB of frames beyond that were decoded last: a pair of 12 MP is looked at several times in a row,
+# and windows of a plan of 400 frames are measured a second time in a smaller region
 Reader = Callable[[str, str], Capture]
 """(shot name, file name) -> the capture."""
 
@@ -86,7 +88,7 @@ class FileCaptures:
         good: list[str] = []
         held = 0
         for file in self._files.get(name, ()):
-            capture = self._tried(name, file)
+            capture = self._tried(name, file, kept=True)
             if capture is None:
                 continue
             good.append(file)
@@ -127,17 +129,30 @@ class FileCaptures:
             self._record.ahead[file] = capture
         return capture
 
-    def _tried(self, name: str, file: str) -> Capture | None:
+    def _tried(self, name: str, file: str, *, kept: bool = False) -> Capture | None:
         """A frame, or None with its reason in ``skipped``; a defect of ours is said to be one."""
         if file in self._record.ahead:
             return self._record.ahead.pop(file)
-        try:
+
+        def again() -> Capture:
             return self._again(name, file)
+
+        try:
+            stamp = self._stamp(file) if kept else None
+            return again() if stamp is None else self._record.last.get((name, file, *stamp), again)
         except InputError as error:
             self._record.skipped[file] = str(error).removeprefix(f"{file}: ").removeprefix(f"{Path(file).name}: ")
         except Exception as error:  # one odd file must not lose the others
             self._record.skipped[file] = defect_words(error)
         return None
+
+    def _stamp(self, file: str) -> tuple[int, int] | None:
+        """Time and size of a file, by which a changed one is told; None where it cannot be looked at."""
+        try:
+            status = os.stat(self._folder / file) if self._folder is not None else None
+        except OSError:
+            return None
+        return None if status is None else (status.st_mtime_ns, status.st_size)
 
     def _again(self, name: str, file: str) -> Capture:
         """A frame whose bytes are those of the first time."""
@@ -158,10 +173,11 @@ class _LastDecoded:
     """The frames decoded last, of all series of a campaign, within `AGAIN_PIXELS`."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[str, str], Capture] = OrderedDict()
+        self._kept: OrderedDict[tuple[str | int, ...], Capture] = OrderedDict()
+        self._pixels = 0
         self._lock = threading.Lock()
 
-    def get(self, key: tuple[str, str], decode: Callable[[], Capture]) -> Capture:
+    def get(self, key: tuple[str | int, ...], decode: Callable[[], Capture]) -> Capture:
         """The frame of a key, decoded unless it is one of the last."""
         with self._lock:
             if key in self._kept:
@@ -169,10 +185,12 @@ class _LastDecoded:
                 return self._kept[key]
         capture = decode()
         with self._lock:
+            if key not in self._kept:
+                self._pixels += capture.mosaic.size
             self._kept[key] = capture
             before = len(self._kept)
-            while sum(c.mosaic.size for c in self._kept.values()) > AGAIN_PIXELS and len(self._kept) > 1:
-                self._kept.popitem(last=False)
+            while self._pixels > AGAIN_PIXELS and len(self._kept) > 1:
+                self._pixels -= self._kept.popitem(last=False)[1].mosaic.size
             if len(self._kept) < before:
                 give_back_freed()
         return capture

@@ -25,6 +25,19 @@ def test_simulate_writes_a_campaign_that_is_measured_like_the_one_in_memory(run,
     assert here.metrics == there.metrics
 
 
+def test_a_plan_is_simulated_and_judged_without_its_captures_and_measured_only_with_them(run, lab, tmp_path):
+    shutil.copytree(lab, tmp_path / "file", ignore=shutil.ignore_patterns("*.dng"))
+    alone = tmp_path / "file" / "campaign.toml"
+    assert run("simulate", CAMERA, alone, "-o", tmp_path / "whole", "--seed", 9)[0] == 0
+    assert run("simulate", CAMERA, lab, "-o", tmp_path / "beside", "--seed", 9)[0] == 0
+    for file in (tmp_path / "whole").glob("*.dng"):
+        assert file.read_bytes() == (tmp_path / "beside" / file.name).read_bytes()
+    assert run("simulate", CAMERA, alone, "-o", tmp_path / "dry", "--dry-run")[0] == 0
+    code, _, err = run("compare", CAMERA, alone, "-j", 1)
+    assert code == 3
+    assert "put the file there" in err
+
+
 def test_simulate_refuses_a_folder_in_use_and_leaves_it_alone(run, lab, tmp_path):
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "mine.txt").write_text("mine")

@@ -3,6 +3,7 @@
 import pytest
 
 from isetval.core.campaign import Campaign, Light, Nuisance, Shot
+from isetval.core.errors import InputError
 from isetval.core.parameter import Parameter
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Roi, Window
@@ -38,6 +39,13 @@ def labels(*nuisances):
 )
 def test_shots_of_one_scope_share_one_value(nuisance, expected):
     assert labels(nuisance) == expected
+
+
+@pytest.mark.parametrize("only", [{"roles": ("dark",)}, {"lights": ("lamp",)}, {"setups": ("s",)}])
+def test_a_tolerance_that_names_some_shots_of_its_scope_is_refused(only):
+    key = next(iter(only))
+    with pytest.raises(InputError, match=rf"dark_current.rate_e_per_s: {key} is .* leave {key} out"):
+        Nuisance("dark_current.rate_e_per_s", 0.1, "e-/s", "campaign", **only)
 
 
 def test_a_tolerance_and_the_parameter_of_the_model_are_the_same_quantity():

@@ -198,6 +198,23 @@ def test_a_file_that_changes_or_vanishes_loses_only_itself(tmp_path):
     assert len(captures.hashes) == 4
 
 
+def test_frames_that_are_looked_at_again_are_decoded_once(tmp_path):
+    rng = np.random.default_rng(13)
+    paths = [write(tmp_path / f"f{i}.dng", shoot(rng, 900)) for i in range(3)]
+    decoded = []
+
+    def read(_, file):
+        decoded.append(file)
+        return isetval.read_dng(tmp_path / file)
+
+    captures = FileCaptures({"s": [p.name for p in paths]}, read, folder=tmp_path)
+    first, again = captures.read("s"), captures.read("s")
+    assert decoded == [p.name for p in paths]
+    assert all(a is b for a, b in zip(first, again, strict=True))
+    captures.take("s", "f0.dng")  # nobody else asks for it: neither kept nor found
+    assert len(decoded) == 4
+
+
 def test_series_beyond_memory_are_decoded_frame_by_frame(tmp_path, monkeypatch):
     from isetval.files import captures as module
 

@@ -27,8 +27,8 @@ def curve_options(p: argparse.ArgumentParser) -> None:
     group.add_argument("--method", help="own, lyu2022, iso12233:2000, iso12233:2014, iso12233:2017, iso12233:2023")
 
 
-def shots_of(model: CameraModel, path: str, args: argparse.Namespace | None) -> Campaign:
-    """The campaign at ``path``, or the curve at ``path`` as a campaign of one shot.
+def shots_of(model: CameraModel, path: str, args: argparse.Namespace | None, *, as_plan: bool = False) -> Campaign:
+    """The campaign at ``path``, or the curve at ``path`` as a campaign of one shot; ``as_plan``, its captures need not be there.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def shots_of(model: CameraModel, path: str, args: argparse.Namespace | None) -> 
         given = [name for name in OPTIONS if args is not None and getattr(args, name) is not None]
         if given:
             raise InputError(f"--{given[0]} is said of a curve; say what the file holds with --as, as --as relative_illumination")
-        campaign: Campaign = isetval.load_campaign(path)
+        campaign: Campaign = isetval.load_campaign(path, as_plan=as_plan)
         return campaign
     from isetval.files.metric_file import Reading
     from isetval.loop.curve_campaign import curve_campaign

@@ -23,7 +23,7 @@ def dry_run(args: argparse.Namespace, console: Console) -> Outcome:
     model, lines = _models(args)
     for key in ("campaign", "plan"):
         if (named := getattr(args, key, None)) is not None and model is not None:
-            lines += _campaign_lines(shots_of(model, named, args if hasattr(args, "curve") else None))
+            lines += _campaign_lines(shots_of(model, named, args if hasattr(args, "curve") else None, as_plan=key == "plan"))
     if hasattr(args, "paths"):
         lines += _path_lines(args)
     for key in ("results", "result", "file", "folder", "image"):

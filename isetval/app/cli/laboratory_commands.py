@@ -127,7 +127,7 @@ def challenge_make(args: argparse.Namespace, console: Console) -> Outcome:
 
     if args.output is None:
         raise InputError("challenge make needs -o DIR: the folder to write the challenge to")
-    model, plan, inputs = load_both(args.model, args.plan)
+    model, plan, inputs = load_both(args.model, args.plan, as_plan=True)
     truth = args.truth or Path(f"{args.output}.truth.json")
     console.say("shooting the plan")
     with engine_for(args) as engine:

@@ -114,10 +114,12 @@ def default_jobs() -> int:
     return min(2, os.cpu_count() or 1)
 
 
-def load_both(model: str, campaign: str, args: argparse.Namespace | None = None) -> tuple[CameraModel, Campaign, dict[str, str]]:
+def load_both(
+    model: str, campaign: str, args: argparse.Namespace | None = None, *, as_plan: bool = False
+) -> tuple[CameraModel, Campaign, dict[str, str]]:
     """A model, a campaign (or a curve, where ``args`` say so) and the hashes of their own files.
 
-    Those of captures are known once they are measured.
+    Those of captures are known once they are measured; ``as_plan``, there need be none.
     """
     import isetval
     from isetval.camera.model_file import model_path
@@ -125,7 +127,7 @@ def load_both(model: str, campaign: str, args: argparse.Namespace | None = None)
     from isetval.files.captures import input_hashes
 
     loaded = isetval.load_model(model)
-    shots = shots_of(loaded, campaign, args)
+    shots = shots_of(loaded, campaign, args, as_plan=as_plan)
     file = model_path(model)
     return loaded, shots, {str(file): file_hash(file)} | input_hashes(shots)
 
@@ -140,7 +142,7 @@ def simulate(args: argparse.Namespace, console: Console) -> Outcome:
 
     if args.output is None:
         raise InputError("simulate needs -o DIR: the folder to write the campaign to")
-    model, plan, inputs = load_both(args.model, args.plan)
+    model, plan, inputs = load_both(args.model, args.plan, as_plan=True)
     values = draw_nuisances(plan, args.seed) if args.draw else {}
     made = {"model": model.name, "model_sha256": model.digest(), "seed": args.seed, "nuisances": values}
     shot = tuple(replace(s, given=None) for s in plan.shots)  # what somebody measured is not simulated
@@ -239,7 +241,7 @@ def identify(args: argparse.Namespace, console: Console) -> Outcome:
     from isetval.loop.task_runner import on_cluster
     from isetval.loop.telling import Teller
 
-    model, plan, inputs = load_both(args.model, args.plan)
+    model, plan, inputs = load_both(args.model, args.plan, as_plan=True)
     with on_cluster(cluster_of(args)):
         found = isetval.identify(model, plan, seed=args.seed, jobs=args.jobs, say=Teller(console.say, console.progress))
     result = {"kind": "identify", "plan": plan.name, "model": model.name, **found.to_json()}
