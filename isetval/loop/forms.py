@@ -31,6 +31,10 @@ Float = NDArray[np.float64]
 Say = Callable[[str], None]
 STEP_SHARE = 0.05  # of the prior's width: the step of the columns that say whether a form is worth a fit
 FREE_SHARE = 0.1  # of the prior that the catalogue's form of an effect has: what a smooth other one, or a freed onset, has
+CURVE_WIDTHS = (1.0, 0.1)
+"""Of its prior widths, those that a curve's components may have, each as likely: what another form does to an effect may be half
+of it or a hundredth.  With the widest alone five components would pay ln 10 each for room that a small difference does not use,
+and another effect, which one number describes, would be said to be there as well."""
 LEFT = 0.1  # how often a right form may be asked for another: what that costs is a few simulations
 
 
@@ -134,8 +138,10 @@ def _openings(found: Hypothesis, name: str) -> list[Candidate]:
     out = [_opened(candidate, some) for some in dict.fromkeys((shapes, every)) if some]
     if has_free_form(type(effect)) and not is_free(effect):
         curved = _with_curve_for_amplitude(found, replace(candidate, effect=freed(effect)))
-        curve = curve_parameters(curved.effect)
-        out += [_opened(curved, more) for more in ((curve, (*shapes, *curve)) if shapes else (curve,))]
+        for width in CURVE_WIDTHS:
+            curve = tuple(replace(p, tau=width * (p.tau or 1.0)) for p in curve_parameters(curved.effect))
+            likely = replace(curved, prior_weight=curved.prior_weight / len(CURVE_WIDTHS))
+            out += [_opened(likely, more) for more in ((curve, (*shapes, *curve)) if shapes else (curve,))]
     return out
 
 
@@ -205,19 +211,19 @@ def _promising(
     Of an effect that lies far behind the ``lead`` no form is asked for that would have to gain more than the linear
     model can be wrong by; where it is ``asked`` for in the place of another name, the best is worth a fit.
     """
-    stand = _form(found, name).parameters
-    more = list({p.name: p for opened in openings for p in opened.parameters if p not in stand}.values())
-    columns = dict(zip((p.name for p in more), shape_columns(case, found, openings[-1], more).T, strict=True))
+    stand = {p.name for p in _form(found, name).parameters}
+    more = {p.name: p for opened in reversed(openings) for p in opened.parameters if p.name not in stand}
+    columns = dict(zip(more, shape_columns(case, found, openings[-1], list(more.values())).T, strict=True))
     alone = weigh(linear_model(case.problem, found.fitted), ()).log_evidence
     promised: list[Promise] = []
     for opened in openings:
-        own = [p for p in opened.parameters if p in more]
+        own = [p for p in opened.parameters if p.name in more]
         white = np.column_stack([columns[p.name] for p in own])
         if not white.any():
             continue
         term = Term(name, white, np.array([p.tau or 1.0 for p in own]), np.zeros(len(own)))
         weighed = weigh(linear_model(case.problem, found.fitted, [term]), (0,))
-        gain = weighed.log_evidence - alone + float(np.log(FREE_SHARE))
+        gain = weighed.log_evidence - alone + float(np.log(FREE_SHARE / (len(CURVE_WIDTHS) if is_free(opened.effect) else 1)))
         after = slice(len(found.fitted.free), None)
         moved, sigma = term.tau * weighed.values[after], term.tau * np.sqrt(np.diag(weighed.covariance))[after]
         keys = [f"{opened.klass}.{p.name}" for p in own]
@@ -225,11 +231,20 @@ def _promising(
         known = dict(zip(keys, map(float, sigma), strict=True))
         promised.append(Promise(opened, gain, dict(zip(keys, at, strict=True)), known))
     promised.sort(key=lambda promise: -promise.gain)
+    promised = _of_likeliest_width(promised)
     behind = lead - CLOSE_LOG_ODDS - case.score(found)
     least = (
         -np.inf if asked else max(CLOSE_LOG_ODDS, promised[0].gain - CLOSE_LOG_ODDS, (1 - BENDS) * behind) if promised else 0.0
     )
     return [promise for promise in promised[: 1 if asked else None] if promise.gain > least]
+
+
+def _of_likeliest_width(promised: Sequence[Promise]) -> list[Promise]:
+    """The first of those that free the same parameters."""
+    first: dict[frozenset[str], Promise] = {}
+    for promise in promised:
+        first.setdefault(frozenset(promise.values), promise)
+    return list(first.values())
 
 
 def shape_columns(case: Investigation, found: Hypothesis, opened: Candidate, more: Sequence[ParameterInfo]) -> Float:
