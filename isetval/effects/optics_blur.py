@@ -233,7 +233,10 @@ class AxialColor(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Spherical(Effect):
-    """Primary spherical aberration, equal over the field: asymmetry of the through-focus series."""
+    """Spherical aberration, equal over the field: asymmetry of the through-focus series.
+
+    ``secondary`` is the share of the next order, which a corrected lens balances the primary one with.
+    """
 
     name = "spherical"
     stage = "optics"
@@ -246,15 +249,22 @@ class Spherical(Effect):
         "charge_diffusion",
     )
     free = FreeAxis("field radius", "strength", 0.5)
-    equation = "W = c sqrt(5) (6 rho^4 - 6 rho^2 + 1), c in waves rms at 550 nm"
-    reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z11"
+    equation = (
+        "W = c (sqrt(5) (6 rho^4 - 6 rho^2 + 1) + q sqrt(7) (20 rho^6 - 30 rho^4 + 12 rho^2 - 1)), c in waves rms at 550 nm, "
+        "q = secondary"
+    )
+    reference = "Noll, J. Opt. Soc. Am. 66 (1976) 207, Z11 and Z22"
     must_not_change = ("dark", "flat", "illumination")
 
     rms_waves: float = parameter(0.0, unit="waves", low=-2.0, high=2.0, tau=0.1, doc="Noll coefficient Z11 at 550 nm")
+    secondary: float = parameter(
+        0.0, unit="1", low=-5.0, high=5.0, tau=0.3, shape=True, doc="Noll coefficient Z22, of that of Z11"
+    )
 
     def apply(self, signal: Signal, context: Context) -> Signal:
-        """Add the coefficient to the pupil."""
-        return adjust_pupil(signal, self.name, spherical_waves=self.rms_waves)
+        """Add the coefficients to the pupil."""
+        more = {"secondary_spherical_waves": self.secondary * self.rms_waves} if self.secondary else {}
+        return adjust_pupil(signal, self.name, spherical_waves=self.rms_waves, **more)
 
 
 @dataclass(frozen=True, kw_only=True)

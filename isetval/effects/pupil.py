@@ -45,7 +45,7 @@ class CircularPupil:
         Shift z of the sensor from best focus in um, away from the lens.
     red_um, blue_um : float
         Further focus shift at 610 and at 460 nm relative to 540 nm; linear in 1/wavelength^2 (`by_dispersion`).
-    spherical_waves, coma_x_waves, coma_y_waves, astigmatism_0_waves, astigmatism_45_waves : float
+    spherical_waves, coma_x_waves, coma_y_waves, astigmatism_0_waves, astigmatism_45_waves, secondary_spherical_waves : float
         Orthonormal (Noll) Zernike coefficients in waves at 550 nm, that is rms wavefront errors.
 
     Notes
@@ -69,6 +69,7 @@ class CircularPupil:
     coma_y_waves: float = 0.0
     astigmatism_0_waves: float = 0.0
     astigmatism_45_waves: float = 0.0
+    secondary_spherical_waves: float = 0.0
 
     def adjusted(self, **added: float) -> CircularPupil:
         """The pupil with ``added`` on top of its focus shifts and aberrations."""
@@ -109,7 +110,8 @@ class CircularPupil:
         across = shear * 4 * math.sqrt(6) * (a45 * cos2 - a0 * sin2)
         along = self.coma_x_waves * np.cos(turn) + self.coma_y_waves * np.sin(turn)
         aside = self.coma_y_waves * np.cos(turn) - self.coma_x_waves * np.sin(turn)
-        out = aberrated(separation, phase, across, shear * self.spherical_waves, shear * along, shear * aside)
+        spherical, secondary = shear * self.spherical_waves, shear * self.secondary_spherical_waves
+        out = aberrated(separation, phase, across, spherical, shear * along, shear * aside, secondary)
         return out if self.coma_x_waves or self.coma_y_waves else cast(Float, out.real)
 
     def _interpolated(self, fx: Float, fy: Float, wavelength_nm: Float) -> Float:

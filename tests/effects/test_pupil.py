@@ -32,6 +32,7 @@ def autocorrelation(pupil, f_cy_px, angle_deg, wavelength_nm, samples=600):
         rho, theta = np.hypot(x - dx, y - dy), np.arctan2(y - dy, x - dx)
         waves = pupil.focus_um / (8 * F_NUMBER**2) / wave_um * rho**2
         zernike = pupil.spherical_waves * np.sqrt(5) * (6 * rho**4 - 6 * rho**2 + 1)
+        zernike = zernike + pupil.secondary_spherical_waves * np.sqrt(7) * (20 * rho**6 - 30 * rho**4 + 12 * rho**2 - 1)
         coma = np.sqrt(8) * (3 * rho**3 - 2 * rho)
         zernike = zernike + coma * (pupil.coma_x_waves * np.cos(theta) + pupil.coma_y_waves * np.sin(theta))
         astigmatism = pupil.astigmatism_0_waves * np.cos(2 * theta) + pupil.astigmatism_45_waves * np.sin(2 * theta)
@@ -70,6 +71,9 @@ def test_without_diffraction_defocus_is_a_uniform_disc():
         {"focus_um": -9.0},
         {"focus_um": 30.0},
         {"spherical_waves": 0.15, "focus_um": 3.0},
+        {"secondary_spherical_waves": 0.12, "focus_um": -3.0},
+        {"spherical_waves": 0.1, "secondary_spherical_waves": -0.08, "coma_x_waves": 0.1, "focus_um": 2.0},
+        {"spherical_waves": 0.1, "secondary_spherical_waves": 0.05, "astigmatism_0_waves": 0.1},
         {"astigmatism_0_waves": 0.2, "astigmatism_45_waves": -0.1, "focus_um": 2.0},
         {"coma_x_waves": 0.15, "coma_y_waves": -0.08},
         {"coma_y_waves": 0.1, "astigmatism_45_waves": 0.1, "spherical_waves": -0.1, "focus_um": -3.0},
@@ -104,7 +108,7 @@ def test_strehl_of_small_aberrations_follows_marechal():
     f = np.linspace(-1.5, 1.5, 61)
     fx, fy = np.meshgrid(f, f)
     perfect = CircularPupil(F_NUMBER, PIXEL_UM, F_NUMBER).transfer(fx, fy, np.array(550.0)).sum()
-    for name in ("spherical_waves", "coma_x_waves", "astigmatism_45_waves"):
+    for name in ("spherical_waves", "secondary_spherical_waves", "coma_x_waves", "astigmatism_45_waves"):
         pupil = CircularPupil(F_NUMBER, PIXEL_UM, F_NUMBER, **{name: 0.05})
         strehl = pupil.transfer(fx, fy, np.array(550.0)).real.sum() / perfect
         assert strehl == pytest.approx(np.exp(-((2 * np.pi * 0.05) ** 2)), abs=2e-3)  # next order: (2 pi .05)^4 / 8 = .0012
