@@ -16,6 +16,7 @@ from isetval.effects.electrons import own, rare_pixels
 ALWAYS_S = (
     10.0  # of waiting, beside which exposures of half a second add 5 % to the hits of a frame: as many at any exposure time
 )
+WIDTH_BY_TIME = 1.5  # of 1 + f by exposure: charge that grows as t^.8 in place of t is 2.5 times as much at 10 ms, beside that at 1 s
 WIDEST = 10.0  # sigma over mean of uneven dark current: beyond it a few hot pixels hold all of it
 
 
@@ -34,7 +35,7 @@ class DarkCurrent(Effect):
         "temperature_drift",
         "amp_glow",
     )
-    free = FreeAxis("exposure", "strength", 0.5)
+    free = FreeAxis("exposure", "strength", WIDTH_BY_TIME)
     equation = "mu + d t"
     reference = "EMVA Standard 1288 Release 4.0, sec. 7 (dark current)"
     must_not_change = ("edge",)
@@ -66,7 +67,7 @@ class TemperatureDrift(Effect):
         "black_level",
         "lag",
     )
-    free = FreeAxis("exposure", "strength", 0.5)
+    free = FreeAxis("exposure", "strength", WIDTH_BY_TIME)
     equation = "mu + k t (1 - exp(-s n))/s, n the number of the frame within its shot; k n t at s = 0"
     reference = "EMVA Standard 1288 Release 4.0, sec. 7.3 (temperature dependence); Newton's law of heating, first order"
     must_not_change = ("edge",)
@@ -98,7 +99,7 @@ class AmpGlow(Effect):
         "black_level",
     )
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"x0": (0.8, -0.8), "y0": (0.6, -0.6)}  # the four corners
-    free = FreeAxis("exposure", "strength", 0.5)
+    free = FreeAxis("exposure", "strength", WIDTH_BY_TIME)
     equation = "mu + g t exp(-d / w), d from (x0, y0) in half diagonals"
     reference = (
         "Janesick, Scientific Charge-Coupled Devices (SPIE 2001), ch. 7 (amplifier luminescence); exponential is a convention"
@@ -142,7 +143,7 @@ class DarkCurrentNonuniformity(Effect):
         "hot_pixels",
         "amp_glow",
     )
-    free = FreeAxis("exposure", "strength", 0.5)
+    free = FreeAxis("exposure", "strength", WIDTH_BY_TIME)
     equation = "mu + sigma t (exp(s z - s^2/2) - 1)/c, s^2 = ln(1 + c^2), c at least sigma t / mu, z fixed unit normals"
     reference = "Konnik & Welsh, arXiv:1412.4031 (2014), sec. 3 (dark-current fixed-pattern noise, log-normal)"
     must_not_change = ("edge",)
@@ -184,7 +185,7 @@ class HotPixels(Effect):
         "dark_current_nonuniformity",
         "transient_hits",
     )
-    free = FreeAxis("exposure", "strength", 0.5)
+    free = FreeAxis("exposure", "strength", WIDTH_BY_TIME)
     equation = "mu + t rate x (exponential number of mean 1) for a fraction of the pixels"
     reference = "Widenhorn et al., Proc. SPIE 4669 (2002) 193 (exponential tail of dark current)"
 
