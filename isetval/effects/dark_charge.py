@@ -16,7 +16,7 @@ from isetval.effects.electrons import own, rare_pixels
 ALWAYS_S = (
     10.0  # of waiting, beside which exposures of half a second add 5 % to the hits of a frame: as many at any exposure time
 )
-WIDTH_BY_TIME = 1.5  # of 1 + f by exposure: charge that grows as t^.8 in place of t is 2.5 times as much at 10 ms, beside that at 1 s
+WIDTH_BY_TIME = 1.5  # of 1 + f by exposure: charge that grows as t^.8 in place of t, equal at 1 s, is 2.5 times as much at 10 ms
 WIDEST = 10.0  # sigma over mean of uneven dark current: beyond it a few hot pixels hold all of it
 
 

@@ -58,7 +58,7 @@ def _hopkins(s: Float, a: Float, across: Float | None = None) -> Float:
 def aberrated(separation: Float, *phases: Any) -> NDArray[Any]:
     """OTF with defocus, astigmatism, spherical aberration and coma.
 
-    ``phases`` are the coefficients of u, of v, of the spherical term, of coma along and aside, and of the secondary spherical one.
+    ``phases`` are the coefficients of u, of v, of the spherical term, of coma along and aside, and of the secondary spherical.
     """
     s, *terms = np.broadcast_arrays(separation, *phases)
     inside = s < 1
