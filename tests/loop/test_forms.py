@@ -15,12 +15,13 @@ from isetval.core.parameter import Parameter
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
+from isetval.effects.free_form import is_free
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import candidates_for
 from isetval.loop.curve_campaign import curve_campaign
 from isetval.loop.evidence import Hypothesis, free_parameters
 from isetval.loop.fit import Fit
-from isetval.loop.forms import _openings, something_left
+from isetval.loop.forms import CURVE_WIDTHS, FREE_SHARE, _openings, something_left
 from isetval.loop.given_side import in_large_pixels, shoot
 from isetval.loop.subset_sum import Weighed
 from isetval.measure.analyses.full_field import ring_means
@@ -43,7 +44,8 @@ def test_forms_and_shapes_of_a_candidate_are_weighed(camera):
     assert [c.effect.form for c in found.values() if c.klass == "pixel_angular_response"] == ["gaussian", "sin2"]
     opened = _openings(fitted_alone(found["vignetting"], 0.01, 0.02), "vignetting")
     names = [tuple(p.name for p in c.parameters)[1:4] for c in opened]
-    assert names == [("r0",), ("r0", "power"), ("free_1", "free_2", "free_3"), ("r0", "free_1", "free_2")]
+    curves = [("free_1", "free_2", "free_3"), ("r0", "free_1", "free_2")]
+    assert names == [("r0",), ("r0", "power"), *curves, *curves]
     assert all(c.name == "vignetting" and c.prior_weight < found["vignetting"].prior_weight for c in opened)
     assert _openings(fitted_alone(found["read_noise"], 0.5, 0.1), "read_noise") == []  # it states no axis, and has no shape
 
@@ -51,7 +53,7 @@ def test_forms_and_shapes_of_a_candidate_are_weighed(camera):
 def test_a_curve_takes_the_place_of_the_amplitude_that_it_multiplies(camera):
     candidate = next(c for c in candidates_for(camera) if c.name == "vignetting")
     value, sigma = 0.06, 0.0002
-    shaped, further, curve, both = _openings(fitted_alone(candidate, value, sigma), "vignetting")
+    shaped, further, curve, both, *_ = _openings(fitted_alone(candidate, value, sigma), "vignetting")
     assert [p.name for p in shaped.parameters] == ["v", "r0"]
     assert [p.name for p in further.parameters] == ["v", "r0", "power"]
     assert [p.name for p in curve.parameters][:2] == ["free_1", "free_2"]
@@ -67,7 +69,18 @@ def test_a_curve_takes_the_place_of_the_amplitude_that_it_multiplies(camera):
     # the prior of the amplitude is paid as before: a density of N(value; 0, tau) over the width of what was found
     tau = float(candidate.tau[0])
     paid = sigma / tau * np.exp(-((value / tau) ** 2) / 2)
-    assert curve.prior_weight / shaped.prior_weight == pytest.approx(paid)
+    assert curve.prior_weight / shaped.prior_weight == pytest.approx(paid / len(CURVE_WIDTHS))
+
+
+def test_a_curve_has_one_of_several_prior_widths_each_as_likely(camera):
+    candidate = next(c for c in candidates_for(camera) if c.name == "vignetting")
+    curves = [c for c in _openings(fitted_alone(candidate, 0.0, 0.02), "vignetting") if is_free(c.effect)]
+    widths = [{p.tau for p in c.parameters if p.name.startswith("free")} for c in curves]
+    assert widths == [{w} for w in CURVE_WIDTHS for _ in range(2)]
+    assert [f.prior for f in curves[-1].free([0.01] * len(curves[-1].parameters))][-1] == CURVE_WIDTHS[-1]
+    assert [c.prior_weight for c in curves] == [pytest.approx(candidate.prior_weight * FREE_SHARE / len(CURVE_WIDTHS))] * len(
+        curves
+    )
 
 
 def test_of_several_amplitudes_under_one_curve_the_clearest_sets_the_scale(camera):

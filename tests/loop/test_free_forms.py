@@ -153,6 +153,7 @@ def test_a_curve_that_was_added_is_in_the_model_file(name, tmp_path):
     ("hidden", "name"),
     [
         ({"nonlinearity_cubic": {"c": 0.03}}, "nonlinearity"),
+        ({"nonlinearity": {"a": 0.03}, "nonlinearity_cubic": {"c": 0.01}}, "nonlinearity"),  # a gain knee would do for the rest
         ({"vignetting_early": {"loss": 0.08, "onset": 0.5, "power": 3.0}}, "vignetting"),
     ],
 )
