@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isetval.core.context import Context
-from isetval.core.effect import Effect, parameter
+from isetval.core.effect import Effect, FreeAxis, parameter
 from isetval.core.sensor import black_at, plane_names, plane_position
 from isetval.core.signal import Signal
 
@@ -96,6 +96,7 @@ class GainMapApplied(Effect):
         "cos4",
     )
     forms: ClassVar[Mapping[str, tuple[str | float, ...]]] = {"form": GAIN_MAP_FORMS}
+    free = FreeAxis("field radius", "share", 0.5)
     equation = (
         "black + (DN - black) g, g = 1 + m r^2, r = 1 at the corner; of form 'inverse cos4' g = cos(theta)^(-4 s), tan theta = "
         "distance from the middle / focal length, s such that g = 1 + m at the corner"
@@ -112,11 +113,16 @@ class GainMapApplied(Effect):
 
     def apply(self, signal: Signal, context: Context) -> Signal:
         """Scale the codes above black."""
+        return self.in_share(signal, context, None)
+
+    def in_share(self, signal: Signal, context: Context, share: Array | None) -> Signal:
+        """The same with a ``share`` of the map's gain above 1 at each pixel (None: all of it), rounded once."""
         if not self.corner:
             return signal
         values = signal.values
-        black = _black(context, values)
-        return _in_codes(signal, black + (values - black) * self._gain(context).astype(values.dtype), context)
+        black, gain = _black(context, values), self._gain(context)
+        gain = gain if share is None else np.maximum(1 + (gain - 1) * share, 0)
+        return _in_codes(signal, black + (values - black) * gain.astype(values.dtype), context)
 
     def _gain(self, context: Context) -> Array:
         radius2 = context.field_radius() ** 2

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, make_dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,6 +225,8 @@ def _gain(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:
 def _share(effect: _Free, own: Own, signal: Signal, context: Context) -> Signal:
     """What the effect changes, times 1 + f."""
     more = effect.curve(_place(effect, signal, context))
+    if (in_share := getattr(effect, "in_share", None)) is not None:  # what ends in whole codes is rounded once
+        return cast(Signal, in_share(signal, context, 1 + more))
     out = own(signal, context)
     plain = len(signal.layers) == len(out.layers) == 1 and signal.layers[0].structure is None
     if plain and out.layers[0].structure is None:

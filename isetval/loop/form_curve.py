@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from isetval.core.context import Context
 from isetval.core.effect import Effect, ParameterInfo
-from isetval.core.sensor import Sensor
+from isetval.core.sensor import Sensor, black_at
 from isetval.core.signal import Signal
 from isetval.effects.free_form import AXES, curve_on_axis, curve_parameters, is_free
 from isetval.loop.candidates import Candidate
@@ -22,6 +22,7 @@ PLACES = 41  # of a drawn curve
 OF_AMPLITUDE = ("share", "strength", "filters")  # what a curve multiplies where it multiplies an amplitude
 STATED_AT = {"field radius": 1.0, "wavelength": 550.0, "exposure": 0.0, "level": 1.0}
 """Where amplitudes are stated for: at the corner, at 550 nm, of one second, at full well."""
+DIM = 0.01  # of the codes above black: what is drawn of an effect on codes, at which a gain of a hundred still fits
 STEP = 0.02  # of a standard deviation of each parameter: derivatives of a curve that bends with it
 
 
@@ -129,7 +130,9 @@ def _response(effect: Effect, at: Float, sensor: Sensor) -> Float:
             amount = max(float(place), 1e-6) * effect.values()[effect.free.reach]
         count = 3 if effect.stage == "pixel" and sensor.cfa != "MONO" else 1
         wavelength_nm = [550.0] if effect.acts_on == "irradiance" else None
-        signal = Signal.of(np.full((count, 1, 1), amount), effect.acts_on, wavelength_nm=wavelength_nm)
-        values = effect.apply(signal, context.for_effect(effect.name, 0)).values / amount
+        black = float(black_at(sensor.black_dn, (row, col))[0][0]) if effect.acts_on == "dn" else 0.0
+        amount = amount if effect.acts_on != "dn" else DIM * (sensor.white_dn - black)
+        signal = Signal.of(np.full((count, 1, 1), black + amount), effect.acts_on, wavelength_nm=wavelength_nm)
+        values = (effect.apply(signal, context.for_effect(effect.name, 0)).values - black) / amount
         out.append(np.broadcast_to(values, (count, 1, 1))[:, 0, 0])
     return np.array(out).T

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 import isetval
+from isetval.core.context import Context
 from isetval.core.sensor import Sensor
+from isetval.core.signal import Signal
 from isetval.core.toml import data_folder
 from isetval.effects.color import CfaAngleShift
 from isetval.effects.converter import Nonlinearity
+from isetval.effects.file_processing import GainMapApplied
 from isetval.effects.free_form import curve_on_axis, curve_parameters, freed, is_free
 from isetval.effects.optics_field import Vignetting
 from isetval.files.metric_file import Reading
@@ -116,6 +119,25 @@ def test_the_curve_of_a_response_is_over_its_level():
     curve = curve_of(candidate, fit_of(candidate, values, [0.001] * (1 + count)), sensor)
     np.testing.assert_allclose(curve.value[""], 1 - 0.03 * curve.at, rtol=1e-6)
     assert curve.to_json()["quantity"] == "factor on the light"
+
+
+def test_the_curve_of_a_gain_map_is_the_gain_of_codes_above_black():
+    """1 + m r^2 (1 + f): the codes of a picture behind it, and the curve that is drawn."""
+    sensor = Sensor(60, 80, white_dn=1023.0, black_dn=((64.0, 60.0), (60.0, 64.0)))
+    effect = freed(GainMapApplied(corner=0.3)).changed(free_1=0.7, free_2=-0.4)
+    candidate = candidate_of(effect)
+    values = [effect.values()[p.name] for p in candidate.parameters]
+    curve = curve_of(candidate, fit_of(candidate, values, [0.01] * len(values)), sensor)
+    gain = 1 + 0.3 * curve.at**2 * (1 + curve_on_axis(effect, curve.at))
+    np.testing.assert_allclose(curve.value[""], gain, rtol=0.01)  # of a sensor of 60 rows, whose pixels are 2 % of a radius
+    np.testing.assert_allclose(curve.own[""], 1 + 0.3 * curve.at**2, rtol=0.01)
+    context = Context(sensor=sensor, window=(0, 0, 60, 80), mean_irradiance=np.ones(1)).for_effect("gain_map_applied", 0)
+    codes = np.random.default_rng(1).integers(50, 1000, (1, 60, 80)).astype(float)
+    black = np.tile(sensor.black_dn, (30, 40))
+    radius = context.field_radius()
+    wanted = black + (codes[0] - black) * (1 + 0.3 * radius**2 * (1 + curve_on_axis(effect, radius)))
+    seen = effect.apply(Signal.of(codes, "dn"), context).values[0]
+    np.testing.assert_array_equal(seen, np.clip(np.rint(wanted), 0, 1023))
 
 
 def test_a_held_amplitude_is_no_better_known_than_its_curve_where_it_is_stated():
