@@ -173,7 +173,8 @@ def fitted_members(
     derivatives of whole codes lead says nothing of how low that lies.
     """
     stated = _as_stated(members)
-    stairs = [stair for m in members if isinstance(m, Candidate) for stair in m.code_steps.items()]
+    labels = {f.label for f in free}  # what a curve holds stands on its stair
+    stairs = [(key, code) for m in members if isinstance(m, Candidate) for key, code in m.code_steps.items() if key in labels]
     beaten = np.inf if stairs else beaten
     fitted = fit(problem, start, free, pose=pose, iterations=iterations, stated=stated, enough=beaten)
     if fitted.cost > beaten:

@@ -110,11 +110,11 @@ def _cost_of_held(hypothesis: Hypothesis, name: str) -> float:
 
 def _words(candidate: Candidate) -> str:
     effect = candidate.effect
-    own = "as it is" if effect.free is None or not is_free(effect) else f"free along the {effect.free.axis}"
+    free = [f"free along the {effect.free.axis}"] if effect.free is not None and is_free(effect) else []
     chosen = {key: getattr(effect, key) for key in effect.chosen() if key not in effect.lies_at}
     bare = {key: isinstance(v, str) and key != "patch" for key, v in chosen.items()}
-    said = (v if bare[key] else f"{key} {v}" if isinstance(v, str) else f"{key} {v:g}" for key, v in chosen.items() if v != "")
-    return ", ".join(said) or own
+    said = [v if bare[key] else f"{key} {v}" if isinstance(v, str) else f"{key} {v:g}" for key, v in chosen.items() if v != ""]
+    return ", ".join([*said, *free]) or "as it is"
 
 
 def other_forms(case: Investigation, candidate: Candidate) -> list[FormRow]:
@@ -123,10 +123,10 @@ def other_forms(case: Investigation, candidate: Candidate) -> list[FormRow]:
     Its own first, then the others, the likeliest first.
     """
     logs = {row.name: row.log_evidence for row in case.rows}
-    free = tuple(p.name for p in candidate.parameters)
     forms = [c for c in case.candidates if c.klass == candidate.klass and (c.effect.forms or c.effect.per_patch)]
     forms.sort(key=lambda c: (c.name == candidate.name, logs.get(c.name) or 0.0), reverse=True)
-    return [FormRow(_words(c), free, logs.get(c.name) or 0.0) for c in forms] if len(forms) > 1 else []
+    rows = [FormRow(_words(c), tuple(p.name for p in c.parameters), logs.get(c.name) or 0.0) for c in forms]
+    return rows if len(rows) > 1 else []
 
 
 def _openings(found: Hypothesis, name: str) -> list[Candidate]:
