@@ -7,22 +7,30 @@ import numpy as np
 import pytest
 
 import isetval
+from isetval import simulate
 from isetval.camera.chain import ShotSetup
 from isetval.camera.model_file import make_effect
-from isetval.core.campaign import Light, Shot
+from isetval.core.campaign import Campaign, Light, Shot
 from isetval.core.metric import Metric
 from isetval.core.parameter import Parameter
 from isetval.core.scene import Spectrum
 from isetval.core.sensor import Exposure
 from isetval.core.toml import data_folder
-from isetval.effects.free_form import is_free
+from isetval.effects import catalogue
+from isetval.effects.free_form import curve_on_axis, freed, is_free
 from isetval.files.metric_file import Reading
 from isetval.loop.candidates import candidates_for
 from isetval.loop.curve_campaign import curve_campaign
-from isetval.loop.evidence import Hypothesis, free_parameters
-from isetval.loop.fit import Fit
+from isetval.loop.derivatives import nuisance_parameters
+from isetval.loop.evidence import Hypothesis, free_parameters, hypothesis, refit
+from isetval.loop.fit import Fit, fit
+from isetval.loop.form_curve import curve_of
 from isetval.loop.forms import CURVE_WIDTHS, FREE_SHARE, _openings, something_left
 from isetval.loop.given_side import in_large_pixels, shoot
+from isetval.loop.prediction import Point
+from isetval.loop.prepared import prepare
+from isetval.loop.signatures import signatures
+from isetval.loop.steps import first_steps
 from isetval.loop.subset_sum import Weighed
 from isetval.measure.analyses.full_field import ring_means
 
@@ -96,6 +104,36 @@ def test_of_several_amplitudes_under_one_curve_the_clearest_sets_the_scale(camer
     assert [fitted_alone(candidate, (v, 0, 0), (0, 1, 1)).is_clear(key) for v in (0.0, 0.01)] == [False, True]  # no sigma at all
     unseen = _openings(fitted_alone(candidate, (0.0001,) * 3, (0.0002,) * 3), "light_nonuniformity")[-1]
     assert not unseen.held
+
+
+def test_a_curve_over_whole_codes_keeps_its_amplitude_on_its_stair(model, tmp_path, monkeypatch):
+    """A gain map of another form: of codes that are rounded anew the held amplitude has no stair of its own any more."""
+    monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
+    white = Light("white", Spectrum(np.array([390.0, 710.0]), np.array([0.0016, 0.0016])))
+    windows = [(1480 - 360 * i, 1984 - 480 * i, 48, 48) for i in range(5)]
+    shots = tuple(
+        Shot(f"f{i}", "flat", "f", exposure=Exposure(0.01), light="white", frames=4, window=w) for i, w in enumerate(windows)
+    )
+    hidden = freed(catalogue()["gain_map_applied"](corner=0.2)).changed(free_1=-1.0)
+    plan = Campaign("g", shots, lights={"white": white}, sensor=model.sensor)
+    with prepare(model, simulate(model.with_effect(hidden), plan, seed=5)) as ready:
+        problem, wanted = ready.problem, [c for c in candidates_for(model) if c.name == "gain_map_applied"]
+        nothing = hypothesis(problem, (), fit(problem, Point(model), nuisance_parameters(problem.plan, model)))
+        (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((problem.keep.size, 0)))
+        candidate = signature.candidate
+        assert list(candidate.code_steps) == ["gain_map_applied.corner"]
+        start = {"gain_map_applied.corner": 0.15}
+        found = refit(problem, model, nothing, (candidate,), start, first_steps(candidate, start))
+        curve = next(c for c in _openings(found, "gain_map_applied") if is_free(c.effect))
+        assert list(curve.held) == ["corner"]
+        start = dict.fromkeys(curve.keys, 0.0)
+        freer = refit(problem, model, found, (curve,), start, first_steps(curve, start))
+    assert freer.fitted.chi2 < found.fitted.chi2 - 100
+    drawn = curve_of(curve, freer.fitted, model.sensor)
+    radius = np.array([np.hypot(row + 24 - 1512, col + 24 - 2016) / 2520 for row, col, _, _ in windows])
+    truth = 1 + 0.2 * radius**2 * (1 + curve_on_axis(hidden, radius))
+    value, sigma = (np.interp(radius, drawn.at, of[""]) for of in (drawn.value, drawn.sigma))
+    assert np.all(np.abs(value - truth) < 4 * sigma + 1e-3)
 
 
 def fitted_alone(candidate, value, sigma):
