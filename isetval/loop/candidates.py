@@ -40,6 +40,7 @@ class Candidate:
     class (``name`` says which): a hypothesis holds one of them, and ``prior_weight`` is a form's share of the class's odds.
     ``code_steps`` are what of its parameters, by key, moves the brightest level by one code where it rounds codes anew, or how
     wide its `Effect.treads` are.
+    Of an ``even`` one the signature is what goes as the square of its parameter, whose sign then does not matter.
     ``scale`` is that of the camera; ``held`` is, by name, what its curve takes the place of: it stands in the effect and is free
     no more.
     """
@@ -52,6 +53,7 @@ class Candidate:
     code_steps: Mapping[str, float] = field(default_factory=dict)
     scale: Scale = field(default_factory=Scale)
     held: Mapping[str, Held] = field(default_factory=dict)
+    even: bool = False
 
     @property
     def shapes(self) -> tuple[ParameterInfo, ...]:
@@ -93,6 +95,8 @@ class Candidate:
     @property
     def side(self) -> Float:
         """1 for parameters (k,) that can only grow from where they stand, -1 for those that can only fall, else 0."""
+        if self.even:
+            return np.ones(len(self.parameters))
         placed = zip(self.nominal, self.parameters, strict=True)
         return np.array([float(n <= p.low) - float(n >= p.high) for n, p in placed])
 

@@ -153,9 +153,13 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
         movers = [c for c in some if focus and moves_focus(c.effect)]
         places = ((far_values(fitted), [c for c in some if c not in movers]), (focus_values(fitted), movers))
         basis = frame.basis[: frame.rows]
-        made = [s for at, own in places for s in signatures(problem, Point(model, at), own, project=basis, focus=focus)]
+        made = [
+            s for at, own in places for s in signatures(problem, Point(model, at), own, project=basis, focus=focus, evens=True)
+        ]
         by_candidate = {s.candidate.name: as_tolerances_do(problem, s, fitted.free) for s in made}
-        return [by_candidate[c.name] for c in some if c.name in by_candidate]
+        asked = [c.name for c in some]
+        further = [name for name in by_candidate if name not in asked]
+        return [by_candidate[name] for name in (*asked, *further) if name in by_candidate]
 
     made = shown(wanted)
     made += shown(_scanned(problem, nothing, frame, made))

@@ -23,6 +23,7 @@ SEEN = 0.2  # of `WANTED`, from which a shorter step is taken though it shows le
 # as the noise of common random numbers, and no tail at a threshold (what goes as the square, and a little with its sign)
 ODD = 0.33  # share of a secant of `WANTED` sigmas that turns its sign with the parameter: at 8 sigmas it is as long as the rest,
 # which goes as the square
+HALF = 0.5  # of an effect's odds: of its two signatures
 FILM = 0.5  # of a prior's sigma: MTF goes as the square of the distance from best focus, of which focus stands one or two off
 STAIRS = (0.5, 1.0, 1.5, 2.0)
 """Of a step that moves levels by a few codes: where secants of a stair are taken; four halve what the rounding of one leaves."""
@@ -83,9 +84,15 @@ def _within_focus(problem: Problem, point: Point, candidate: Candidate, steps: F
 
 
 def signatures(
-    problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float, focus: Sequence[Parameter] = ()
+    problem: Problem,
+    point: Point,
+    wanted: Sequence[Candidate],
+    *,
+    project: Float,
+    focus: Sequence[Parameter] = (),
+    evens: bool = False,
 ) -> list[Signature]:
-    """Signatures by simulation with common random numbers.
+    """Signatures by simulation with common random numbers; with ``evens``, behind them those of further candidates (`_even_of`).
 
     ``project`` (kept rows, k) is an orthonormal basis of what nuisances can do; ``focus`` are errors of it among them whose
     derivatives are known: what a candidate does in the same way is parallel to theirs.  A secant that is far
@@ -117,11 +124,30 @@ def signatures(
                 bent.add(i)
             else:
                 columns[i] = column
-    _without_what_is_even(problem, point, wanted, steps, columns, project, focus)
+    even = _without_what_is_even(problem, point, wanted, steps, columns, project, focus)
     wanted = [replace(c, code_steps=code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     _over_stairs(problem, point, wanted, steps, columns)
     columns = _through_focus(problem, point, wanted, steps, columns, focus)
-    return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
+    made = [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
+    if not evens:
+        return made
+    both = {i: _even_of(made[i], column) for i, column in even.items()}
+    shared = [
+        replace(s.candidate, prior_weight=HALF * s.candidate.prior_weight) if i in both else s.candidate
+        for i, s in enumerate(made)
+    ]
+    return [*(replace(s, candidate=c) for s, c in zip(made, shared, strict=True)), *both.values()]
+
+
+def _even_of(signature: Signature, column: Float) -> Signature:
+    """An effect by what goes as the square of its parameter: of many sigmas that is most of what it does.
+
+    An astigmatism seen at the corners alone parts horizontal from vertical edges by a fifth of it, and blurs both by its square.
+    Fitted in full, both are one hypothesis, which they share the odds of.
+    """
+    candidate = signature.candidate
+    even = replace(candidate, name=f"{candidate.name} (by its square)", prior_weight=HALF * candidate.prior_weight, even=True)
+    return replace(signature, candidate=even, columns=column)
 
 
 def _without_what_is_even(
@@ -132,8 +158,10 @@ def _without_what_is_even(
     columns: list[Float],
     project: Float,
     focus: Sequence[Parameter],
-) -> None:
+) -> dict[int, Float]:
     """Secants of lenses' effects that may have either sign become means of both sides, in place, where enough is left.
+
+    What they lose where that is the longer part, (metrics, 1), of effects of one parameter by their place.
 
     Sharpness is even in what a pupil does to its phase, but for what goes with the focus: two foci that part sharpen one edge in
     front of it and blur the other by as much as they part, and what is in focus by the square.  By one secant,
@@ -149,8 +177,14 @@ def _without_what_is_even(
     bends = [i for i in lens if longs[i].max(initial=0.0) > DETECTED and may_step(wanted[i], -steps[i])]
     behind = secants(problem, point, [wanted[i] for i in bends], [-steps[i] for i in bends])
     middles = {i: (columns[i] + column) / 2 for i, column in zip(bends, behind, strict=True)}
+    lost = {i: columns[i] - middle for i, middle in middles.items()}
+    even = _profiled_steps(problem, bends, steps, lost, project)
+    out = {}
     for i, odd in _profiled_steps(problem, bends, steps, middles, project).items():
         columns[i] = np.where(odd > ODD * longs[i], middles[i], columns[i])
+        if odd.size == 1 and ODD * longs[i][0] < odd[0] < even[i][0]:
+            out[i] = lost[i]
+    return out
 
 
 def _profiled_steps(

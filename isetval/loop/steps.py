@@ -31,7 +31,8 @@ REACH = 1.5  # widths of a signature's secant that a fit starts away from the nu
 def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dict[str, float]:
     """Parameters to start a fit at, within their bounds, from the linear model's (in units of their priors' widths).
 
-    A variance goes as the square of its parameter: what a secant of one step says of half of it is a quarter.  What is
+    A variance goes as the square of its parameter, and so does what is even: what a secant of one step says of half of it is a
+    quarter.  What is
     counted in the pixels of a specimen starts where its signature was taken at least: with less than one of them in a window no
     derivative tells more from less.
     """
@@ -39,7 +40,7 @@ def first_values(candidate: Candidate, signature: Signature, mean: Float) -> dic
     step = np.abs(signature.steps)
     if candidate.effect.counted and candidate.effect.random == "sensor":
         moved = np.where(moved > 0, np.maximum(moved, step), moved)
-    if candidate.goes_as_square:
+    if candidate.goes_as_square or candidate.even:
         moved = step * np.sqrt(np.maximum(moved, 0.0) / step)
     reach = np.maximum(REACH * step, candidate.tau)
     low, high = ([getattr(p, side) for p in candidate.parameters] for side in ("low", "high"))

@@ -15,6 +15,7 @@ from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame, score
 from isetval.loop.signatures import signatures
+from isetval.loop.steps import REACH, first_values
 
 ROWS = 4
 
@@ -35,6 +36,11 @@ class TwoFoci:
 
 
 def made(model, slope, square, waves=0.0):
+    problem, signature, *_ = every(model, slope, square, waves)
+    return problem, signature
+
+
+def every(model, slope, square, waves, **more):
     camera = TwoFoci(slope, square)
     measured = np.array([slope * waves, square * waves**2, 0.0, 0.0])
     base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
@@ -42,8 +48,7 @@ def made(model, slope, square, waves=0.0):
         camera, Point(model), base, measured, np.arange(ROWS), factor(np.eye(ROWS)), np.zeros(ROWS), base.covariance
     )
     wanted = [c for c in candidates_for(model) if c.name == "astigmatism"]
-    (signature,) = signatures(problem, Point(model), wanted, project=np.zeros((ROWS, 0)))
-    return problem, signature
+    return problem, *signatures(problem, Point(model), wanted, project=np.zeros((ROWS, 0)), **more)
 
 
 def test_the_slope_is_seen_beside_a_square_that_is_longer_at_fifty_sigmas(model):
@@ -56,6 +61,27 @@ def test_the_slope_is_seen_beside_a_square_that_is_longer_at_fifty_sigmas(model)
     assert found.dchi2 == pytest.approx(64.0)
     one_side = np.array([250.0, 5500.0 * step, 0, 0])
     assert (one_side @ problem.measured) ** 2 / (one_side @ one_side) < 1
+
+
+@pytest.mark.parametrize("waves", [0.3, -0.3])
+def test_many_sigmas_are_seen_by_their_square_too_and_started_from_where_it_leads(model, waves):
+    """A slope of 75 sigmas beside a square of 495, as of corners where both edges lie at 45 degrees to the lens's axes."""
+    problem, odd, even = every(model, 250.0, 5500.0, waves, evens=True)
+    names = [s.candidate.name for s in (odd, even)]
+    assert names == ["astigmatism", "astigmatism (by its square)"]
+    assert {s.candidate.klass for s in (odd, even)} == {"astigmatism"}
+    assert [s.candidate.prior_weight for s in (odd, even)] == [0.5, 0.5]
+    (step,) = even.steps
+    np.testing.assert_allclose(even.columns[:, 0], [0, 5500 * step, 0, 0], atol=1e-6)
+    frame = make_frame(fit(problem, problem.origin, ()))
+    found = score(frame, problem.whitened(even.columns), side=even.candidate.only_side)
+    assert found.dchi2 == pytest.approx(495.0**2)
+    mean = found.estimate / even.candidate.tau
+    assert first_values(even.candidate, even, mean) == {"astigmatism.rms_waves": pytest.approx(REACH * step)}
+    near = first_values(even.candidate, even, mean / 16)
+    assert near == {"astigmatism.rms_waves": pytest.approx(0.075)}  # of a sixteenth of the square, a quarter
+    alone = every(model, 250.0, 5500.0, waves)[1:]
+    assert [s.candidate.prior_weight for s in alone] == [1.0]
 
 
 def test_of_what_is_even_the_secant_stays(model):
