@@ -160,7 +160,8 @@ class Effect:
     that its parameter is how many such pixels there are, as which metrics go (that of other random effects is a standard
     deviation, as the square of which they go); ``step_share`` is the finite step of a fit as a share of the distance from
     the null; ``whole_codes`` that it rounds codes anew, so that metrics are a stair of its parameters; ``treads`` how wide, by
-    parameter and in its unit, the narrowest steps are that its own form makes;
+    parameter and in its unit, the narrowest steps are that its own form makes, ``asked_at`` at which multiples of what
+    stands it is looked for too;
     ``needs_previous`` that it reads the charge of the frame before; ``makes_mosaic`` that
     colour channels end here; ``replaces`` names effects that describe a part of what this one contains (a model holds
     one or the other); ``needs_chief_ray`` that a lens in front must state the angle of its chief rays,
@@ -195,6 +196,7 @@ class Effect:
     step_share: ClassVar[float] = 0.2
     whole_codes: ClassVar[bool] = False
     treads: ClassVar[Mapping[str, float]] = {}
+    asked_at: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     per_patch: ClassVar[bool] = False
     needs_previous: ClassVar[bool] = False
     makes_mosaic: ClassVar[bool] = False

@@ -16,6 +16,7 @@ from isetval.loop.evidence import Hypothesis, hypothesis, smallest_detectable
 from isetval.loop.fit import far_values, focus_values
 from isetval.loop.focus_chain import moves_focus
 from isetval.loop.forms import something_left
+from isetval.loop.further_signatures import every_signature
 from isetval.loop.investigation import Investigation, named_model, weigh_neighbours
 from isetval.loop.patch_scan import best_patch
 from isetval.loop.posterior import NOTHING
@@ -28,7 +29,7 @@ from isetval.loop.scan import best_place
 from isetval.loop.score_test import Frame, Score, make_frame, score
 from isetval.loop.search import search
 from isetval.loop.shortlist import unfitted
-from isetval.loop.signatures import Signature, as_tolerances_do, signatures
+from isetval.loop.signatures import Signature, as_tolerances_do
 from isetval.loop.stair_scores import lowest_stairs
 from isetval.loop.telling import Deadline, Progress, Say, TimeUp
 from isetval.loop.verdict import ALPHA, account_of, stopped_account
@@ -153,9 +154,7 @@ def _open_case(prepared: Prepared, model: CameraModel, say: Say, held: Prepared 
         movers = [c for c in some if focus and moves_focus(c.effect)]
         places = ((far_values(fitted), [c for c in some if c not in movers]), (focus_values(fitted), movers))
         basis = frame.basis[: frame.rows]
-        made = [
-            s for at, own in places for s in signatures(problem, Point(model, at), own, project=basis, focus=focus, evens=True)
-        ]
+        made = [s for at, own in places for s in every_signature(problem, Point(model, at), own, project=basis, focus=focus)]
         by_candidate = {s.candidate.name: as_tolerances_do(problem, s, fitted.free) for s in made}
         asked = [c.name for c in some]
         further = [name for name in by_candidate if name not in asked]

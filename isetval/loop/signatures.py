@@ -23,7 +23,6 @@ SEEN = 0.2  # of `WANTED`, from which a shorter step is taken though it shows le
 # as the noise of common random numbers, and no tail at a threshold (what goes as the square, and a little with its sign)
 ODD = 0.33  # share of a secant of `WANTED` sigmas that turns its sign with the parameter: at 8 sigmas it is as long as the rest,
 # which goes as the square
-HALF = 0.5  # of an effect's odds: of its two signatures
 FILM = 0.5  # of a prior's sigma: MTF goes as the square of the distance from best focus, of which focus stands one or two off
 STAIRS = (0.5, 1.0, 1.5, 2.0)
 """Of a step that moves levels by a few codes: where secants of a stair are taken; four halve what the rounding of one leaves."""
@@ -84,15 +83,16 @@ def _within_focus(problem: Problem, point: Point, candidate: Candidate, steps: F
 
 
 def signatures(
-    problem: Problem,
-    point: Point,
-    wanted: Sequence[Candidate],
-    *,
-    project: Float,
-    focus: Sequence[Parameter] = (),
-    evens: bool = False,
+    problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float, focus: Sequence[Parameter] = ()
 ) -> list[Signature]:
-    """Signatures by simulation with common random numbers; with ``evens``, behind them those of further candidates (`_even_of`).
+    """Signatures by simulation with common random numbers (`with_even`)."""
+    return with_even(problem, point, wanted, project=project, focus=focus)[0]
+
+
+def with_even(
+    problem: Problem, point: Point, wanted: Sequence[Candidate], *, project: Float, focus: Sequence[Parameter] = ()
+) -> tuple[list[Signature], dict[int, Float]]:
+    """Signatures by simulation with common random numbers, and what some do by the square of their parameter, by their place.
 
     ``project`` (kept rows, k) is an orthonormal basis of what nuisances can do; ``focus`` are errors of it among them whose
     derivatives are known: what a candidate does in the same way is parallel to theirs.  A secant that is far
@@ -128,26 +128,7 @@ def signatures(
     wanted = [replace(c, code_steps=code_steps(problem, c, column)) for c, column in zip(wanted, columns, strict=True)]
     _over_stairs(problem, point, wanted, steps, columns)
     columns = _through_focus(problem, point, wanted, steps, columns, focus)
-    made = [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)]
-    if not evens:
-        return made
-    both = {i: _even_of(made[i], column) for i, column in even.items()}
-    shared = [
-        replace(s.candidate, prior_weight=HALF * s.candidate.prior_weight) if i in both else s.candidate
-        for i, s in enumerate(made)
-    ]
-    return [*(replace(s, candidate=c) for s, c in zip(made, shared, strict=True)), *both.values()]
-
-
-def _even_of(signature: Signature, column: Float) -> Signature:
-    """An effect by what goes as the square of its parameter: of many sigmas that is most of what it does.
-
-    An astigmatism seen at the corners alone parts horizontal from vertical edges by a fifth of it, and blurs both by its square.
-    Fitted in full, both are one hypothesis, which they share the odds of.
-    """
-    candidate = signature.candidate
-    even = replace(candidate, name=f"{candidate.name} (by its square)", prior_weight=HALF * candidate.prior_weight, even=True)
-    return replace(signature, candidate=even, columns=column)
+    return [Signature(c, column, step) for c, column, step in zip(wanted, columns, steps, strict=True)], even
 
 
 def _without_what_is_even(

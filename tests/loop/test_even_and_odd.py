@@ -11,6 +11,7 @@ from isetval.loop.base import Base
 from isetval.loop.block_factor import factor
 from isetval.loop.candidates import candidates_for
 from isetval.loop.fit import fit
+from isetval.loop.further_signatures import every_signature
 from isetval.loop.prediction import Point
 from isetval.loop.problem import Problem
 from isetval.loop.score_test import make_frame, score
@@ -40,7 +41,7 @@ def made(model, slope, square, waves=0.0):
     return problem, signature
 
 
-def every(model, slope, square, waves, **more):
+def every(model, slope, square, waves, ask=signatures):
     camera = TwoFoci(slope, square)
     measured = np.array([slope * waves, square * waves**2, 0.0, 0.0])
     base = Base(np.zeros(ROWS), np.eye(ROWS), np.zeros((16, ROWS)), np.ones(ROWS))
@@ -48,7 +49,7 @@ def every(model, slope, square, waves, **more):
         camera, Point(model), base, measured, np.arange(ROWS), factor(np.eye(ROWS)), np.zeros(ROWS), base.covariance
     )
     wanted = [c for c in candidates_for(model) if c.name == "astigmatism"]
-    return problem, *signatures(problem, Point(model), wanted, project=np.zeros((ROWS, 0)), **more)
+    return problem, *ask(problem, Point(model), wanted, project=np.zeros((ROWS, 0)))
 
 
 def test_the_slope_is_seen_beside_a_square_that_is_longer_at_fifty_sigmas(model):
@@ -66,7 +67,7 @@ def test_the_slope_is_seen_beside_a_square_that_is_longer_at_fifty_sigmas(model)
 @pytest.mark.parametrize("waves", [0.3, -0.3])
 def test_many_sigmas_are_seen_by_their_square_too_and_started_from_where_it_leads(model, waves):
     """A slope of 75 sigmas beside a square of 495, as of corners where both edges lie at 45 degrees to the lens's axes."""
-    problem, odd, even = every(model, 250.0, 5500.0, waves, evens=True)
+    problem, odd, even = every(model, 250.0, 5500.0, waves, every_signature)
     names = [s.candidate.name for s in (odd, even)]
     assert names == ["astigmatism", "astigmatism (by its square)"]
     assert {s.candidate.klass for s in (odd, even)} == {"astigmatism"}
