@@ -27,10 +27,10 @@ def at_likeliest_place(case: Investigation, found: Hypothesis) -> Hypothesis:
     Of two that are mirrored, and as likely, that with a number above zero.
     """
     places = other_places(case.problem, found.fitted, [m.effect for m in found.effects])
-    best = _likelier(case, found, *(_from(case, found, focus, found.values) for focus in places))
-    best = _likelier(case, best, *(_from(case, best, {}, values) for values in other_signs(case, best)))
+    best = _likelier(case, found, *(fitted_from(case, found, focus, found.values) for focus in places))
+    best = _likelier(case, best, *(fitted_from(case, best, {}, values) for values in other_signs(case, best)))
     mirrored = _mirrored(best)
-    return best if mirrored is None else _likelier(case, _from(case, best, *mirrored), best, ahead=ALIKE)
+    return best if mirrored is None else _likelier(case, fitted_from(case, best, *mirrored), best, ahead=ALIKE)
 
 
 def other_signs(case: Investigation, found: Hypothesis) -> Iterator[dict[str, float]]:
@@ -38,14 +38,14 @@ def other_signs(case: Investigation, found: Hypothesis) -> Iterator[dict[str, fl
     stands = case.standing.names
     new = [m for m in found.effects if m.name not in stands and m.effect.stage == "optics" and len(m.keys) > 1]
     keys = [key for m in new for key in m.keys]
-    open_keys = [key for key in keys if found.sigmas_off(key) > OFF and _is_even(case, found, key)]
+    open_keys = [key for key in keys if found.sigmas_off(key) > OFF and is_even(case, found, key)]
     most = sorted(open_keys, key=found.sigmas_off, reverse=True)[:MOST_SIGNS]
     for size in range(1, len(most) + 1):
         for turned in combinations(most, size):
             yield {**found.values, **{key: -found.values[key] for key in turned}}
 
 
-def _is_even(case: Investigation, found: Hypothesis, key: str) -> bool:
+def is_even(case: Investigation, found: Hypothesis, key: str) -> bool:
     """Whether a number does to the rows what it does with the other sign, at best focus."""
     point = found.fitted.point
     values = {**point.values, **{f.label: f.center for f in found.fitted.free if f.focus and f.is_nuisance}}
@@ -58,7 +58,7 @@ def _likelier(case: Investigation, first: Hypothesis, *others: Hypothesis, ahead
 
     Where one is a million times as probable here, the other session is not asked.
     """
-    ends = [first, *(other for other in others if not _is_same(first, other))]
+    ends = [first, *(other for other in others if not is_same(first, other))]
     lead = max(end.log_evidence for end in ends)
     near = [end for end in ends if end.log_evidence > lead - CLEAR]
     words = said(case, near) if len(near) > 1 else [0.0]
@@ -78,7 +78,7 @@ def _mirrored(found: Hypothesis) -> tuple[dict[str, float], dict[str, float]] | 
     return (focus, {key: -found.values[key]}) if focus and found.effects[0].side[0] == 0 else None
 
 
-def _from(case: Investigation, found: Hypothesis, focus: Mapping[str, float], values: Mapping[str, float]) -> Hypothesis:
+def fitted_from(case: Investigation, found: Hypothesis, focus: Mapping[str, float], values: Mapping[str, float]) -> Hypothesis:
     """The hypothesis fitted from other values, by derivatives of its own; ended early where it stays far behind."""
     point = found.fitted.point
     there = replace(found, fitted=replace(found.fitted, point=Point(point.model, {**point.values, **focus}), pose={}))
@@ -89,7 +89,7 @@ def _from(case: Investigation, found: Hypothesis, focus: Mapping[str, float], va
     return refit(problem, case.prepared.model, there, list(found.members), values, steps, beaten=beaten, by=found)
 
 
-def _is_same(found: Hypothesis, other: Hypothesis) -> bool:
+def is_same(found: Hypothesis, other: Hypothesis) -> bool:
     """Whether a fit from another place came back."""
     keys = [key for m in found.effects for key in m.keys]
     return all(abs(other.value(key)[0] - found.value(key)[0]) < OFF * found.value(key)[1] for key in keys)

@@ -12,6 +12,7 @@ from isetval.loop.forms import in_best_form
 from isetval.loop.hold_out import ask_holdout, likely_in_both, said
 from isetval.loop.investigation import CLEAR, ODDS, Heard, Investigation, asked_for, fitted_jointly, weigh_neighbours
 from isetval.loop.likeness import doubtful
+from isetval.loop.open_signs import other_ends, words_of
 from isetval.loop.posterior import Names
 from isetval.loop.rebase import rebase
 from isetval.loop.shortlist import SHORT_LIST, fit_each, fit_likely, of_several_classes
@@ -21,6 +22,7 @@ from isetval.loop.verdict import ALPHA, against_priors, something_unknown
 
 BESIDE = 2  # rivals of what stands that are asked for their forms before a name is added: a fit each
 SEARCH = 1 / 2  # of the time that is given: a base at what stands, hold-out and ladder take as long as two turns do
+MOST_TURNED = 2  # numbers of a lens whose signs are turned where the search ends
 MAX_TURNS = 10  # changes of mind: a bound on cost, far above the four names and their exchanges
 
 
@@ -42,6 +44,7 @@ def search(case: Investigation, watch: Deadline) -> str | None:
         try:
             _search(case, watch, seen)
             _take_back(case, watch)
+            _of_likelier_sign(case, watch)
             watch.stage()  # what comes after has all that is left, not what is left of the search's part
             return None
         except TimeUp:
@@ -120,6 +123,19 @@ def _take_back(case: Investigation, say: Deadline) -> None:
         if less is None:
             return
         _stand(case, say, less)
+
+
+def _of_likelier_sign(case: Investigation, say: Deadline) -> None:
+    """What stands with the sign that both sessions say is likelier; what they leave open is told."""
+    for _ in range(MOST_TURNED):
+        ends = other_ends(case)
+        if not ends or ends[0].behind > -CLOSE_LOG_ODDS:
+            break
+        say(f"turning {ends[0].key}")
+        _stand(case, say, ends[0].hypothesis)
+    else:
+        ends = other_ends(case)
+    case.remarks += words_of(case.standing, ends)
 
 
 def _without(case: Investigation, name: str | None) -> Hypothesis | None:
