@@ -13,6 +13,7 @@ from isetval.loop.hold_out import ask_holdout, likely_in_both, said
 from isetval.loop.investigation import CLEAR, ODDS, Heard, Investigation, asked_for, fitted_jointly, weigh_neighbours
 from isetval.loop.likeness import doubtful
 from isetval.loop.open_signs import other_ends, words_of
+from isetval.loop.places import ALIKE
 from isetval.loop.posterior import Names
 from isetval.loop.rebase import rebase
 from isetval.loop.shortlist import SHORT_LIST, fit_each, fit_likely, of_several_classes
@@ -129,7 +130,7 @@ def _of_likelier_sign(case: Investigation, say: Deadline) -> None:
     """What stands with the sign that both sessions say is likelier; what they leave open is told."""
     for _ in range(MOST_TURNED):
         ends = other_ends(case)
-        if not ends or ends[0].behind > -CLOSE_LOG_ODDS:
+        if not ends or ends[0].behind > -ALIKE:
             break
         say(f"turning {ends[0].key}")
         _stand(case, say, ends[0].hypothesis)
