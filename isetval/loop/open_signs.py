@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from isetval.effects.free_form import PREFIX
 from isetval.loop.evidence import Hypothesis
 from isetval.loop.hold_out import said
 from isetval.loop.investigation import ODDS, Investigation
@@ -26,13 +27,19 @@ class OtherEnd:
 
 
 def other_ends(case: Investigation) -> list[OtherEnd]:
-    """The ends of what stands with the other sign of each number of a new effect of the lens, the likeliest first.
+    """The ends of what stands with the other sign of each strength of a new effect of the lens, the likeliest first.
 
-    Where rows move alike with either sign alone; both ends are fitted by derivatives of their own.
+    Where rows move alike with either sign alone; both ends are fitted by derivatives of their own.  Shapes have no sign to turn,
+    and curves turn with the strength.
     """
     found, out = case.standing, []
     new = [m for m in found.effects if m.effect.stage == "optics" and not m.present]
-    keys = [key for m in new for key, p in zip(m.keys, m.parameters, strict=True) if p.low < p.null < p.high]
+    keys = [
+        key
+        for m in new
+        for key, p in zip(m.keys, m.parameters, strict=True)
+        if not p.shape and not p.name.startswith(PREFIX) and p.low <= -found.values[key] <= p.high
+    ]
     for key in (key for key in keys if found.sigmas_off(key) > OFF and is_even(case, found, key)):
         other = fitted_from(case, found, {}, {**found.values, key: -found.values[key]})
         if is_same(found, other) or other.values[key] * found.values[key] > 0:

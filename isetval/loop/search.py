@@ -136,7 +136,8 @@ def _of_likelier_sign(case: Investigation, say: Deadline) -> None:
         _stand(case, say, ends[0].hypothesis)
     else:
         ends = other_ends(case)
-    case.remarks += words_of(case.standing, ends)
+    if ends:
+        case.remarks += words_of(case.standing, ends)
 
 
 def _without(case: Investigation, name: str | None) -> Hypothesis | None:
