@@ -26,14 +26,13 @@ def every_signature(
 ) -> list[Signature]:
     """The signatures of candidates (`isetval.loop.signatures`), and behind them the further ones of some."""
     made, even = with_even(problem, point, wanted, project=project, focus=focus)
-    further = [_by_square(made[i], column) for i, column in even.items()] + _at_multiples(problem, point, made)
-    names = [s.candidate.klass for s in further]
+    further = [(i, _by_square(made[i], column)) for i, column in even.items()] + _at_multiples(problem, point, made)
+    shares = 1 + np.bincount([i for i, _ in further], minlength=len(made))
 
-    def shared(s: Signature) -> Signature:
-        weight = s.candidate.prior_weight / (1 + names.count(s.candidate.klass))
-        return replace(s, candidate=replace(s.candidate, prior_weight=weight))
+    def shared(i: int, s: Signature) -> Signature:
+        return replace(s, candidate=replace(s.candidate, prior_weight=s.candidate.prior_weight / float(shares[i])))
 
-    return [shared(s) for s in (*made, *further)]
+    return [shared(i, s) for i, s in (*enumerate(made), *further)]
 
 
 def _by_square(signature: Signature, column: Float) -> Signature:
@@ -46,17 +45,13 @@ def _by_square(signature: Signature, column: Float) -> Signature:
     return replace(signature, candidate=even, columns=column)
 
 
-def _at_multiples(problem: Problem, point: Point, made: Sequence[Signature]) -> list[Signature]:
-    """Effects as they show at multiples of what stands (`Effect.asked_at`), between which they bend."""
-    out: list[tuple[Candidate, Float]] = []
-    for s in made:
-        c = s.candidate
-        for i, p in enumerate(c.parameters):
-            for multiple in c.effect.asked_at.get(p.name, ()):
-                step = np.zeros(len(c.parameters))
-                step[i] = (multiple - 1) * c.nominal[i]
-                if step[i] and c.nominal[i] + step[i] <= p.high:
-                    named = replace(c, name=f"{c.name} ({p.name} {c.nominal[i] + step[i]:g})")
-                    out.append((named, np.where(step, step, s.steps)))
-    columns = secants(problem, point, [c for c, _ in out], [step for _, step in out]) if out else []
-    return [Signature(c, column, step) for (c, step), column in zip(out, columns, strict=True) if column.any()]
+def _at_multiples(problem: Problem, point: Point, made: Sequence[Signature]) -> list[tuple[int, Signature]]:
+    """Effects of one parameter as they show at multiples of what stands (`Effect.asked_at`), each with its place in ``made``."""
+    asked: list[tuple[int, Candidate, Float]] = []
+    for i, c in enumerate(s.candidate for s in made):
+        for multiple in c.effect.asked_at.get(c.parameters[0].name, ()) if len(c.parameters) == 1 else ():
+            step = (multiple - 1) * c.nominal
+            if step.any() and c.nominal[0] * multiple <= c.parameters[0].high:
+                asked.append((i, replace(c, name=f"{c.name} ({c.parameters[0].name} {c.nominal[0] * multiple:g})"), step))
+    columns = secants(problem, point, [c for _, c, _ in asked], [step for *_, step in asked]) if asked else []
+    return [(i, Signature(c, column, step)) for (i, c, step), column in zip(asked, columns, strict=True) if column.any()]
