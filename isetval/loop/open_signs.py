@@ -1,7 +1,7 @@
 """Signs of what a lens does that the captures leave open: the other one, with its own size, explains them about as well.
 
-Corners at one focus setting are as far from their focus in front of the film as behind it: a curvature of 6.5 um beside an error
-of focus of -.6 um, and one of -5.3 um, are the same edges.  A value and its error bar say nothing of the other end.
+Corners at one focus setting are as far from their focus in front of the film as behind it: a curvature k beside an error of focus
+of a, and one of -k - 2 a / r^2, are the same edges at the radius r.  A value and its error bar say nothing of the other end.
 """
 
 from __future__ import annotations
