@@ -101,7 +101,8 @@ def _files_of(kind: type[Effect]) -> tuple[str, ...]:
 class FreeAxis:
     """Along which axis, and how, an effect may be of another form (`isetval.effects.free_form`).
 
-    ``how``: *gain* (its output times 1 + f), *share* (what it changes times 1 + f), *strength* (its amplitudes times 1 + f, one
+    ``how``: *gain* (its output times 1 + f), *share* (what it changes times 1 + f, by its ``in_share(signal, context, share)``
+    where it has one, as what ends in whole codes needs), *strength* (its amplitudes times 1 + f, one
     number for each shot), *filters* (the shift of the color filters times 1 + f) or *transfer* (the contrast that it takes times
     1 + f).  ``width`` is the prior standard deviation
     of f; of a gain at the far end of the axis, for its f starts at 0 with the axis.  ``reach`` names the parameter that is 1 on

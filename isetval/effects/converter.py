@@ -240,9 +240,8 @@ class Quantization(Effect):
         "uneven_codes",
     )
     treads: ClassVar[Mapping[str, float]] = {"step_dn": LEAST_SHARE}  # 2 DN to 2.04 are the same steps
-    asked_at: ClassVar[Mapping[str, tuple[float, ...]]] = {
-        "step_dn": (4.0, 8.0)
-    }  # two and three bits, as whose square variances go
+    # two and three missing bits: variances go as the square of the step
+    asked_at: ClassVar[Mapping[str, tuple[float, ...]]] = {"step_dn": (4.0, 8.0)}
     equation = "step x round(DN / step), limited to 0 ... white; s = 2^k (1 + f): steps 2^k, in a share f of pixels 2^(k + 1)"
     reference = "Widrow & Kollar, Quantization Noise (2008), ch. 4"
 

@@ -173,6 +173,11 @@ def sized(shot: Shot, sensor: Sensor, path: Path) -> Shot:
     if window is not None and window[2] > 0:
         pass
     elif shot.files:
+        if not any((path.parent / file).is_file() for file in shot.files):
+            raise InputError(
+                f"shot {shot.name}: its window is that of its files, which are not in {path.parent}; add window = [row0, col0, rows, "
+                "cols], or put them there"
+            )
         first = first_readable(shot.files, path)
         window = Window(*(window[:2] if window else first.window), *first.mosaic.shape)
     elif window is None:

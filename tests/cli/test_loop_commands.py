@@ -30,12 +30,18 @@ def test_a_plan_is_simulated_and_judged_without_its_captures_and_measured_only_w
     alone = tmp_path / "file" / "campaign.toml"
     assert run("simulate", CAMERA, alone, "-o", tmp_path / "whole", "--seed", 9)[0] == 0
     assert run("simulate", CAMERA, lab, "-o", tmp_path / "beside", "--seed", 9)[0] == 0
-    for file in (tmp_path / "whole").glob("*.dng"):
+    made = list((tmp_path / "whole").glob("*.dng"))
+    assert len(made) == 12
+    for file in made:
         assert file.read_bytes() == (tmp_path / "beside" / file.name).read_bytes()
     assert run("simulate", CAMERA, alone, "-o", tmp_path / "dry", "--dry-run")[0] == 0
     code, _, err = run("compare", CAMERA, alone, "-j", 1)
     assert code == 3
     assert "put the file there" in err
+    alone.write_text("\n".join(line for line in alone.read_text().splitlines() if not line.startswith("window")))
+    code, _, err = run("simulate", CAMERA, alone, "-o", tmp_path / "open")
+    assert (code, (tmp_path / "open").exists()) == (3, False)
+    assert "its window is that of its files, which are not in" in err
 
 
 def test_simulate_refuses_a_folder_in_use_and_leaves_it_alone(run, lab, tmp_path):

@@ -21,7 +21,7 @@ def test_what_is_not_19_to_1_less_probable_is_told_with_its_probability():
 
 
 @pytest.mark.slow
-def test_a_corner_at_one_focus_has_the_sign_that_both_sessions_say_or_both_are_told(tmp_path, monkeypatch):
+def test_a_corner_at_one_focus_has_the_sign_that_both_sessions_say(tmp_path, monkeypatch):
     """The outer edges of the demo without those out of focus: -8 um of curvature, or a tilt that does the same there."""
     monkeypatch.setenv("ISETVAL_CACHE", str(tmp_path))
     model = isetval.load_model(data_folder() / "pixel4a" / "camera.toml")
@@ -35,4 +35,4 @@ def test_a_corner_at_one_focus_has_the_sign_that_both_sessions_say_or_both_are_t
     row, col = 294 + 40 - 1512, 494 + 40 - 2016  # the outer window's middle
     ways = {"alpha_um": col / 2520, "beta_um": row / 2520, "kappa_um": (row**2 + col**2) / 2520**2}
     film_um = sum(p.value * ways[name] for name, p in effect.parameters.items())
-    assert film_um == pytest.approx(-8.0 * ways["kappa_um"], abs=0.5) or any("may be" in note for note in found.notes)
+    assert film_um == pytest.approx(-8.0 * ways["kappa_um"], abs=0.5)
