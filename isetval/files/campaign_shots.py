@@ -175,8 +175,8 @@ def sized(shot: Shot, sensor: Sensor, path: Path) -> Shot:
     elif shot.files:
         if not any((path.parent / file).is_file() for file in shot.files):
             raise InputError(
-                f"shot {shot.name}: its window is that of its files, which are not in {path.parent}; add window = [row0, col0, rows, "
-                "cols], or put them there"
+                f"shot {shot.name}: its window is that of its files, which are not in {path.parent}; add "
+                "window = [row0, col0, rows, cols], or put them there"
             )
         first = first_readable(shot.files, path)
         window = Window(*(window[:2] if window else first.window), *first.mosaic.shape)
